@@ -1,0 +1,48 @@
+"""Oriented surface normals for point clouds.
+
+>>> import jetnormal
+>>> cloud = jetnormal.read("scan.ply")
+>>> cloud = jetnormal.estimate(cloud)
+>>> jetnormal.write(cloud, "scan_with_normals.ply")
+
+Each public name is imported from its module on first use, so that `import jetnormal` stays cheap.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jetnormal.cloud import Cloud
+    from jetnormal.estimation import estimate
+    from jetnormal.evaluation import evaluate
+    from jetnormal.formats import read, write
+    from jetnormal.geometry.orient import orient
+    from jetnormal.networks.checkpoint import load_model
+
+__version__ = "0.1.0"
+
+__all__ = ["Cloud", "__version__", "estimate", "evaluate", "load_model", "orient", "read", "write"]
+
+_HOMES = {
+    "Cloud": "jetnormal.cloud",
+    "estimate": "jetnormal.estimation",
+    "evaluate": "jetnormal.evaluation",
+    "load_model": "jetnormal.networks.checkpoint",
+    "orient": "jetnormal.geometry.orient",
+    "read": "jetnormal.formats",
+    "write": "jetnormal.formats",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value  # the next access does not come here again
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

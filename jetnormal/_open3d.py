@@ -1,0 +1,54 @@
+"""The one place that imports Open3D, which may be absent or lack system libraries."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+from functools import cache
+from types import ModuleType
+
+logger = logging.getLogger(__name__)
+
+
+@cache
+def import_open3d() -> ModuleType | None:
+    """Import Open3D, or return None and warn once where it cannot be loaded.
+
+    Open3D's Linux wheels link to libusb, which many machines lack: the copy that the package libusb-package
+    carries is loaded then. libGL and libEGL have no such stand-in.
+    """
+    try:
+        return _import()
+    except ImportError as error:
+        reason = str(error)
+    if "libusb" in reason and _load_packaged_libusb():
+        try:
+            return _import()
+        except ImportError as error:
+            reason = str(error)
+    logger.warning(
+        "Open3D cannot be loaded (%s): SciPy takes its place, slower on large clouds. "
+        "It needs the system libraries libusb-1.0, libGL and libEGL "
+        "(Debian, Ubuntu: apt install libusb-1.0-0 libgl1 libegl1)",
+        reason.partition("\n")[0],
+    )
+    return None
+
+
+def _import() -> ModuleType:
+    import open3d
+
+    return open3d
+
+
+def _load_packaged_libusb() -> bool:
+    """Load the libusb of the package libusb-package so that later libraries find its symbols."""
+    try:
+        import libusb_package
+    except ImportError:
+        return False
+    path = libusb_package.get_library_path()
+    if path is None:
+        return False
+    ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+    return True

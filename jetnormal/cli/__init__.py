@@ -1,0 +1,1 @@
+"""The `jetnormal` command: one small module per subcommand."""
