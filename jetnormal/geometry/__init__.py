@@ -1,1 +1,1 @@
-"""Arrays in, arrays out: no files, no networks."""
+"""Geometry on plain arrays: arrays in, arrays out; no files, no networks."""
