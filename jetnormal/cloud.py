@@ -1,0 +1,85 @@
+"""A point cloud in memory: float64 points, optional normals, and everything else its file held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a file said about itself, so that writing the cloud again loses nothing.
+
+    Attributes:
+        format: ``"ply"``, ``"pcd"``, ``"xyz"``, or ``""`` for a cloud made in memory.
+        encoding: the format's own word, such as ``"ascii"``, ``"binary_big_endian"``, ``"binary_compressed"``.
+        comments: the comment lines, without their markers.
+        viewpoint: the sensor pose of a PCD file: x y z and the quaternion w x y z.
+        width: columns of an organised cloud, else the number of points or None.
+        height: rows of an organised cloud, else 1 or None.
+        columns: names of the per-point columns in file order. Coordinates are called ``x y z`` and normals
+            ``nx ny nz`` whatever the file calls them; every other name is a key of ``Cloud.attributes``.
+        point_dtype: type of the coordinates in the file. Writing converts ``Cloud.points`` back to it.
+        normal_dtype: type of the normals in the file, None where it had none.
+        extra: what only the codec of this format understands.
+    """
+
+    format: str = ""
+    encoding: str = ""
+    comments: tuple[str, ...] = ()
+    viewpoint: tuple[float, ...] | None = None
+    width: int | None = None
+    height: int | None = None
+    columns: tuple[str, ...] = ()
+    point_dtype: np.dtype[Any] = np.dtype(np.float64)
+    normal_dtype: np.dtype[Any] | None = None
+    extra: Any = None
+
+
+@dataclass
+class Cloud:
+    """N points and what is known about each of them.
+
+    Attributes:
+        points: (N, 3) float64 coordinates; rows may be NaN or infinite (see `valid`).
+        normals: (N, 3) float64, or None.
+        attributes: per-point arrays, first axis N, each with its own dtype, in file order. A ragged list per
+            point is an object array of arrays.
+        source: what the file said about itself.
+
+    Raises:
+        ValueError: if an array does not have one row per point.
+    """
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64] | None = None
+    attributes: dict[str, NDArray[Any]] = field(default_factory=dict)
+    source: Source = field(default_factory=Source)
+
+    def __post_init__(self) -> None:
+        self.points = _rows_of_three(self.points, "points")
+        if self.normals is not None:
+            self.normals = _rows_of_three(self.normals, "normals")
+            if len(self.normals) != len(self):
+                raise ValueError(f"{len(self.normals)} normals for {len(self)} points")
+        for name, values in self.attributes.items():
+            if np.ndim(values) == 0 or len(values) != len(self):
+                raise ValueError(f"attribute {name!r} has shape {np.shape(values)} for {len(self)} points")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(N,) bool: the points whose three coordinates are finite."""
+        return np.isfinite(self.points).all(axis=1)
+
+
+def _rows_of_three(values: NDArray[Any], name: str) -> NDArray[np.float64]:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name} must have shape (N, 3), not {array.shape}")
+    return array

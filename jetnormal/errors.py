@@ -1,0 +1,40 @@
+"""The errors a user can meet, each with the exit code of the command line.
+
+The library raises them; only the command line turns them into a message and an exit code. A message is one
+line that says what is wrong, in which file, and what to do about it.
+"""
+
+from __future__ import annotations
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C: 128 + SIGINT, as shells count it."""
+
+
+class JetnormalError(Exception):
+    """The parent of all expected errors."""
+
+    exit_code = 1
+
+
+class UsageError(JetnormalError):
+    """Options that contradict each other or are out of range."""
+
+    exit_code = 2
+
+
+class InputError(JetnormalError):
+    """A file or a cloud that cannot be used, or a target that cannot be written."""
+
+    exit_code = 3
+
+
+class ModelError(JetnormalError):
+    """An unknown, damaged or unsuitable model."""
+
+    exit_code = 4
+
+
+class ResourceError(JetnormalError):
+    """Too little memory, or a device that is not there."""
+
+    exit_code = 5
