@@ -1,0 +1,298 @@
+"""Sources of clouds with known normals: PCPNet folders, folders of meshes and procedural solids.
+
+A source is a pure function: `source.cloud(epoch, index, seed)` is the same cloud whenever it is asked for,
+so that a resumed training sees the data it would have seen, and clouds may be made ahead in a thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.errors import InputError, UsageError
+from jetnormal.training.corruption import Surface, scan
+from jetnormal.training.meshes import MESH_SUFFIXES, MeshSampler, load_mesh
+
+TRAINING_LIST = "trainingset_whitenoise.txt"
+CLOUDS_PER_EPOCH = 24
+POINTS_PER_CLOUD = 100_000
+
+
+@dataclass(frozen=True)
+class LabeledCloud:
+    """Points with their true normals.
+
+    Attributes:
+        name: Where the cloud comes from, for messages.
+        points: (N, 3) float64.
+        normals: (N, 3) float64, outward unit normals of the clean surface.
+        queries: (Q,) int64 indices of the points to learn from or to evaluate; None means all.
+    """
+
+    name: str
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    queries: NDArray[np.int64] | None = None
+
+
+class DataSource(Protocol):
+    """Labeled clouds by epoch and index."""
+
+    @property
+    def clouds_per_epoch(self) -> int:
+        """Indices run from 0 to this number."""
+        ...
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """The cloud at `index` of `epoch`; equal arguments give equal clouds."""
+        ...
+
+
+class PcpnetFolder:
+    """Clouds of a folder in PCPNet's layout: NAME.xyz, NAME.normals and, where there is one, NAME.pidx.
+
+    With a list file the clouds are those that it names, the same in each epoch. Without one they are all that
+    have normals, and each epoch draws a new corruption of each, as for a mesh.
+    """
+
+    def __init__(self, directory: Path | str, list_file: str | None = TRAINING_LIST) -> None:
+        """Finds the clouds; each is read when it is first asked for and kept.
+
+        Args:
+            directory: The folder. It is only read.
+            list_file: Name of the list in the folder, one NAME per line; None takes all clouds with normals.
+
+        Raises:
+            InputError: The list or a cloud that it names is missing, or there are no clouds.
+        """
+        self._directory = Path(directory)
+        self._augment = list_file is None
+        self.names = self._with_normals() if list_file is None else self._listed(list_file)
+        if not self.names:
+            raise InputError(f"{self._directory / (list_file or '')}: holds no clouds with normals")
+        self._load = lru_cache(maxsize=None)(self._read)
+
+    @property
+    def clouds_per_epoch(self) -> int:
+        return len(self.names)
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`.
+
+        Raises:
+            InputError: A file of the cloud is unreadable or does not match the others.
+        """
+        cloud = self._load(self.names[index])
+        if not self._augment:
+            return cloud
+        rng = np.random.default_rng([seed, epoch, index])
+        return _drawn(cloud.name, _Subset(cloud), len(cloud.points), rng)
+
+    def _with_normals(self) -> list[str]:
+        names = sorted(path.stem for path in self._directory.glob("*.normals"))
+        return [name for name in names if self._path(name, "xyz").is_file()]
+
+    def _listed(self, list_file: str) -> list[str]:
+        path = self._directory / list_file
+        if not path.is_file():
+            raise InputError(f"{path}: no such list of clouds")
+        names = path.read_text(encoding="utf-8").split()
+        present = set(self._with_normals())
+        missing = [name for name in names if name not in present]
+        if missing:
+            shown = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
+            raise InputError(f"{path}: listed clouds lack their .xyz or .normals file: {shown}")
+        return names
+
+    def _read(self, name: str) -> LabeledCloud:
+        points = _read_numbers(self._path(name, "xyz"), columns=3)
+        path = self._path(name, "normals")
+        normals = _read_numbers(path, columns=3)
+        if len(normals) != len(points):
+            raise InputError(f"{path}: {len(normals)} normals for {len(points)} points")
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        if not length.all():
+            raise InputError(f"{path}: row {int(np.argmin(length)) + 1} is no direction")
+        queries = None
+        path = self._path(name, "pidx")
+        if path.is_file():
+            queries = _read_numbers(path, columns=1)[:, 0].astype(np.int64)
+            if queries.min() < 0 or queries.max() >= len(points):
+                raise InputError(f"{path}: an index is not among the {len(points)} points")
+        return LabeledCloud(name, points, normals / length, queries)
+
+    def _path(self, name: str, suffix: str) -> Path:
+        return self._directory / f"{name}.{suffix}"  # names contain dots, so no with_suffix
+
+
+class MeshFolder:
+    """Clouds drawn anew in each epoch from the meshes of a folder, each mesh equally often."""
+
+    def __init__(
+        self, directory: Path | str, clouds_per_epoch: int = CLOUDS_PER_EPOCH, points: int = POINTS_PER_CLOUD
+    ) -> None:
+        """Finds the meshes; the 64 used last are kept in memory.
+
+        Raises:
+            InputError: There is no mesh in the folder.
+        """
+        self.paths = _meshes_in(Path(directory))
+        if not self.paths:
+            raise InputError(f"{directory}: holds no meshes ({' '.join(MESH_SUFFIXES)})")
+        self.clouds_per_epoch = clouds_per_epoch
+        self._points = points
+        self._sampler = lru_cache(maxsize=64)(_load_sampler)
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`.
+
+        Raises:
+            InputError: The mesh cannot be used.
+        """
+        tour, stop = divmod(epoch * self.clouds_per_epoch + index, len(self.paths))
+        path = self.paths[np.random.default_rng([seed, tour]).permutation(len(self.paths))[stop]]
+        rng = np.random.default_rng([seed, epoch, index])
+        return _drawn(path.stem, self._sampler(path), self._points, rng)
+
+
+class SyntheticSolids:
+    """Clouds drawn anew in each epoch from random procedural solids."""
+
+    def __init__(self, clouds_per_epoch: int = CLOUDS_PER_EPOCH, points: int = POINTS_PER_CLOUD) -> None:
+        self.clouds_per_epoch = clouds_per_epoch
+        self._points = points
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`."""
+        from jetnormal.training.shapes import random_solid
+
+        rng = np.random.default_rng([seed, epoch, index])
+        return _drawn("solid", random_solid(rng), self._points, rng)
+
+
+class Mixture:
+    """Several sources as one: their clouds alternate in proportion to the weights.
+
+    An epoch of the mixture is as long as those of its sources together. Each source is walked through in its
+    own order, so that with a small weight its epoch spreads over several of the mixture's.
+    """
+
+    def __init__(self, sources: Sequence[DataSource], weights: Sequence[float] | None = None) -> None:
+        """Args:
+        sources: At least one.
+        weights: One positive number per source; by default the sources' `clouds_per_epoch`.
+
+        Raises:
+            UsageError: There are no sources, or the weights do not fit them.
+        """
+        self._sources = list(sources)
+        lengths = np.array([source.clouds_per_epoch for source in sources])
+        share = np.asarray(lengths if weights is None else weights, dtype=np.float64)
+        if len(sources) == 0 or share.shape != lengths.shape or not (share > 0).all():
+            raise UsageError("a mixture takes at least one source and one positive weight for each")
+        self.clouds_per_epoch = int(lengths.sum())
+        # Each turn goes to the source that is furthest behind its share.
+        self._turns: list[int] = []
+        taken = np.zeros(len(sources))
+        for turn in range(1, self.clouds_per_epoch + 1):
+            chosen = int(np.argmax(share / share.sum() * turn - taken))
+            taken[chosen] += 1
+            self._turns.append(chosen)
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`."""
+        chosen = self._turns[index]
+        source = self._sources[chosen]
+        position = epoch * self._turns.count(chosen) + self._turns[:index].count(chosen)
+        own_epoch, own_index = divmod(position, source.clouds_per_epoch)
+        return source.cloud(own_epoch, own_index, seed)
+
+
+def open_dataset(
+    paths: Sequence[Path | str],
+    *,
+    synthetic: bool = False,
+    list_file: str | None = None,
+    clouds_per_epoch: int = CLOUDS_PER_EPOCH,
+    points: int = POINTS_PER_CLOUD,
+) -> DataSource:
+    """Opens folders of training data, each by what lies in it, as one source.
+
+    A folder with .normals files is a PCPNet folder: its clouds are those of `list_file`, else of
+    `trainingset_whitenoise.txt` where there is one, else all with normals, corrupted anew in each epoch.
+    Any other folder must hold meshes.
+
+    Args:
+        paths: Folders.
+        synthetic: Adds random procedural solids.
+        list_file: Name of the list in the PCPNet folders.
+        clouds_per_epoch: Clouds that a folder of meshes, and the solids, give per epoch.
+        points: Largest number of points of a cloud drawn from a mesh or a solid.
+
+    Raises:
+        InputError: A folder is missing or holds neither, or its list does not fit it.
+        UsageError: There is neither a folder nor `synthetic`.
+    """
+    sources: list[DataSource] = []
+    for path in paths:
+        sources.append(_open_folder(Path(path), list_file, clouds_per_epoch, points))
+    if synthetic:
+        sources.append(SyntheticSolids(clouds_per_epoch, points))
+    return sources[0] if len(sources) == 1 else Mixture(sources)
+
+
+def _open_folder(directory: Path, list_file: str | None, clouds_per_epoch: int, points: int) -> DataSource:
+    if not directory.is_dir():
+        raise InputError(f"{directory}: no such folder")
+    if any(directory.glob("*.normals")):
+        if list_file is None and (directory / TRAINING_LIST).is_file():
+            list_file = TRAINING_LIST
+        return PcpnetFolder(directory, list_file)
+    if _meshes_in(directory):
+        return MeshFolder(directory, clouds_per_epoch, points)
+    raise InputError(f"{directory}: holds neither PCPNet clouds (.xyz with .normals) nor meshes")
+
+
+class _Subset:
+    """A labeled cloud as a surface: draws among its points without replacement, at most all of them."""
+
+    def __init__(self, cloud: LabeledCloud) -> None:
+        self._cloud = cloud
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        size = len(self._cloud.points)
+        drawn = rng.choice(size, min(count, size), replace=False)
+        return self._cloud.points[drawn], self._cloud.normals[drawn]
+
+
+def _drawn(name: str, surface: Surface, largest: int, rng: np.random.Generator) -> LabeledCloud:
+    points, normals, kind = scan(surface, largest, rng)
+    return LabeledCloud(f"{name}_{kind}", points, normals)
+
+
+def _load_sampler(path: Path) -> MeshSampler:
+    try:
+        return MeshSampler(load_mesh(path))
+    except InputError as error:
+        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+
+
+def _meshes_in(directory: Path) -> list[Path]:
+    return sorted(path for path in directory.glob("*") if path.suffix.lower() in MESH_SUFFIXES)
+
+
+def _read_numbers(path: Path, columns: int) -> NDArray[np.float64]:
+    """Reads a text file of finite numbers, (N, columns), N > 0."""
+    try:
+        numbers = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {error}") from error
+    if numbers.size == 0 or numbers.shape[1] != columns or not np.isfinite(numbers).all():
+        raise InputError(f"{path}: must hold {columns} finite numbers per row")
+    return numbers

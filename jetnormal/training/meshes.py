@@ -1,0 +1,153 @@
+"""Triangle meshes as a source of points with known normals."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from jetnormal.errors import InputError
+
+MESH_SUFFIXES = (".npz", ".ply", ".obj", ".off", ".stl")
+CREASE_DEGREES = 35.0  # neighbouring faces that turn by more meet in a sharp edge
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with shared vertices.
+
+    Attributes:
+        vertices: (V, 3) float64.
+        faces: (F, 3) int64 indices into `vertices`, counter-clockwise seen from outside.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+def load_mesh(path: Path | str) -> Mesh:
+    """Reads a triangle mesh from .npz (arrays `vertices` and `faces`), .ply, .obj, .off or .stl.
+
+    Vertices at exactly the same place become one, so that STL triangles know their neighbours.
+
+    Raises:
+        InputError: The file is missing, of another type or unreadable, has no faces, has vertices that are
+            not finite, or faces that name vertices which do not exist.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    suffix = path.suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        raise InputError(f"{path}: not a mesh format that is read here ({' '.join(MESH_SUFFIXES)})")
+    vertices, faces = _read_npz(path) if suffix == ".npz" else _read_with_open3d(path)
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or len(faces) == 0:
+        raise InputError(f"{path}: holds no triangles; vertices and faces must be of shape (V, 3) and (F, 3)")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"{path}: a face names a vertex that does not exist (there are {len(vertices)})")
+    if not np.isfinite(vertices).all():
+        raise InputError(f"{path}: has vertices that are not finite")
+    vertices, merged = np.unique(vertices, axis=0, return_inverse=True)
+    return Mesh(vertices, merged.reshape(-1)[faces])
+
+
+def _read_npz(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    try:
+        with np.load(path) as arrays:
+            return arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64)
+    except KeyError:
+        raise InputError(f"{path}: lacks one of the arrays 'vertices' and 'faces'") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not a readable .npz file ({error})") from error
+
+
+def _read_with_open3d(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    import open3d
+
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        mesh = open3d.io.read_triangle_mesh(path)  # an unreadable file gives an empty mesh
+    return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.triangles, dtype=np.int64)
+
+
+class MeshSampler:
+    """Draws points that are uniform over the surface of a mesh, with outward unit normals.
+
+    The normal of a point is interpolated over its face from the normals of the face's corners. A corner's
+    normal is the mean, weighted by angle, of the faces around the vertex that turn by at most 35 degrees
+    from the corner's own face: curved regions are smooth and creases stay sharp. A closed mesh whose faces
+    are wound inwards is turned around; an open one is taken as it is.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        """Computes areas and corner normals once.
+
+        Raises:
+            InputError: The whole surface has no area.
+        """
+        corners = mesh.vertices[mesh.faces]
+        doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.linalg.norm(doubled, axis=1) / 2
+        self._cumulative_area = np.cumsum(areas)
+        if not self._cumulative_area[-1] > 0:
+            raise InputError("the mesh has no area: all its faces are degenerate")
+        inward = _encloses_negative_volume(corners, doubled)
+        self._mesh = mesh
+        self._face_normals = _unit(-doubled if inward else doubled)
+        self._corner_normals = _corner_normals(mesh.faces, corners, self._face_normals)
+
+    @property
+    def area(self) -> float:
+        """Area of the surface."""
+        return float(self._cumulative_area[-1])
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns `count` points uniform over the surface, (count, 3), and their unit normals, (count, 3)."""
+        # Side "right" skips faces without area; rounding may reach past the last face.
+        face = np.searchsorted(self._cumulative_area, rng.random(count) * self.area, side="right")
+        face = np.minimum(face, len(self._cumulative_area) - 1)
+        u, v = rng.random((2, count))
+        outside = u + v > 1
+        u[outside], v[outside] = 1 - u[outside], 1 - v[outside]
+        weights = np.stack([1 - u - v, u, v], axis=1)[:, None, :]  # barycentric, (count, 1, 3)
+        points = (weights @ self._mesh.vertices[self._mesh.faces[face]])[:, 0]
+        normals = (weights @ self._corner_normals[face])[:, 0]
+        return points, _unit(normals, otherwise=self._face_normals[face])
+
+
+def _corner_normals(
+    faces: NDArray[np.int64], corners: NDArray[np.float64], face_normals: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Normals of the faces' corners, (F, 3, 3), averaged by angle inside each smoothing group."""
+    edges = _unit(np.roll(corners, -1, axis=1) - corners)
+    angles = np.arccos(np.clip(-(edges * np.roll(edges, 1, axis=1)).sum(2), -1, 1)).reshape(-1)
+    corner = np.arange(faces.size)
+    incidence = sparse.csr_matrix((np.ones(faces.size, np.int8), (corner, faces.reshape(-1))))
+    pairs = (incidence @ incidence.T).tocoo()  # all pairs of corners that share a vertex
+    turn = (face_normals[pairs.row // 3] * face_normals[pairs.col // 3]).sum(1)
+    smooth = turn > np.cos(np.deg2rad(CREASE_DEGREES))
+    row, col = pairs.row[smooth], pairs.col[smooth]
+    weights = sparse.csr_matrix((angles[col], (row, col)), shape=(faces.size, faces.size))
+    own = np.repeat(face_normals, 3, axis=0)
+    return _unit(weights @ own, otherwise=own).reshape(-1, 3, 3)
+
+
+def _encloses_negative_volume(corners: NDArray[np.float64], doubled: NDArray[np.float64]) -> bool:
+    """Whether the faces form a closed surface that is wound inwards.
+
+    The area vectors of a closed surface add up to zero, and only then is the volume below independent of
+    the origin.
+    """
+    closed = np.linalg.norm(doubled.sum(0)) <= 1e-6 * np.linalg.norm(doubled, axis=1).sum()
+    centred = corners[:, 0] - corners[:, 0].mean(0)
+    return bool(closed and (centred * doubled).sum() < 0)
+
+
+def _unit(vectors: NDArray[np.float64], otherwise: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+    """Vectors (..., 3) at length one; `otherwise` takes the place of those that have no direction."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    directed = length > 1e-30
+    return np.where(directed, vectors / np.where(directed, length, 1.0), otherwise)
