@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from jetnormal.errors import InputError, UsageError
 from jetnormal.training.corruption import Surface, scan
 from jetnormal.training.meshes import MESH_SUFFIXES, MeshSampler, load_mesh
+from jetnormal.training.shapes import random_solid
 
 TRAINING_LIST = "trainingset_whitenoise.txt"
 CLOUDS_PER_EPOCH = 24
@@ -170,8 +171,6 @@ class SyntheticSolids:
 
     def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
         """See `DataSource.cloud`."""
-        from jetnormal.training.shapes import random_solid
-
         rng = np.random.default_rng([seed, epoch, index])
         return _drawn("solid", random_solid(rng), self._points, rng)
 

@@ -1,0 +1,267 @@
+"""Analytic primitives: each samples its surface uniformly with exact normals and knows its inside.
+
+All are centred at the origin with a size of about one. Their sizes are free, so that one class stands for
+a family: see `RoundedBox` (box, plate, capsule, sphere), `Lathe` (cylinder, cone, vase) and so on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
+
+Floats = NDArray[np.float64]
+
+
+class Primitive(Protocol):
+    """A solid bounded by a surface that can be sampled."""
+
+    @property
+    def area(self) -> float:
+        """Area of the surface."""
+        ...
+
+    def sample(self, count: int, rng: np.random.Generator, /) -> tuple[Floats, Floats]:
+        """Returns points uniform over the surface, (count, 3), in any order, and their outward unit normals."""
+        ...
+
+    def implicit(self, points: Floats, /) -> Floats:
+        """A function of points (N, 3) that is negative inside, positive outside and zero on the surface."""
+        ...
+
+
+class RoundedBox:
+    """All points within `radius` of a box: a box, plate, rod with round edges, capsule or sphere."""
+
+    # Which components of the normal vary over a group of faces: 3 pairs of flat faces, the quarter cylinders
+    # around the edges along x, y and z, and the 8 sphere octants at the corners.
+    _MOVING = np.array(
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0], [1, 1, 1]], dtype=bool
+    )
+
+    def __init__(self, half: ArrayLike, radius: float = 0.0) -> None:
+        """Args:
+        half: (3,) half sizes of the inner box; zeros are allowed with a positive radius.
+        radius: Of the rounded edges; 0 gives sharp edges.
+        """
+        self._half = np.asarray(half, dtype=np.float64)
+        self._radius = radius
+        x, y, z = self._half
+        faces = 8 * np.array([y * z, x * z, x * y])
+        self._areas = np.concatenate([faces, 4 * np.pi * radius * self._half, [4 * np.pi * radius**2]])
+        self.area = float(self._areas.sum())
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """See `Primitive.sample`."""
+        moving = np.repeat(self._MOVING, rng.multinomial(count, self._areas / self.area), axis=0)
+        normals = normalized(rng.normal(size=(count, 3)) * moving)
+        core = self._half * np.where(moving, np.sign(normals), rng.uniform(-1, 1, (count, 3)))
+        return core + self._radius * normals, normals
+
+    def implicit(self, points: Floats) -> Floats:
+        """See `Primitive.implicit`; this is the signed distance."""
+        return _distance_to_corner(np.abs(points) - self._half) - self._radius
+
+
+class RoundedCylinder:
+    """All points within `radius` of a cylinder around z: a disc or drum with filleted rims."""
+
+    def __init__(self, core: float, half_height: float, radius: float) -> None:
+        """Args:
+        core: Radius of the inner cylinder.
+        half_height: Of the inner cylinder.
+        radius: Of the fillets.
+        """
+        self._core, self._half_height, self._radius = core, half_height, radius
+        caps = 2 * np.pi * core**2
+        wall = 4 * np.pi * (core + radius) * half_height
+        fillets = 2 * np.pi * radius * (np.pi * core + 2 * radius)
+        self._areas = np.array([caps, wall, fillets])
+        self.area = float(self._areas.sum())
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """See `Primitive.sample`."""
+        caps, wall, fillets = rng.multinomial(count, self._areas / self.area)
+        # In the half plane (rho, z) the surface is a core point plus radius times the normal at `tilt`.
+        rho = np.full(count, self._core)
+        rho[:caps] *= np.sqrt(rng.random(caps))
+        tilt = np.zeros(count)
+        tilt[:caps] = np.pi / 2 * rng.choice([-1, 1], caps)
+        tilt[caps + wall :] = _arc_angles(self._core, self._radius, np.pi / 2, fillets, rng)
+        z = self._half_height * np.sign(tilt)
+        z[caps : caps + wall] = self._half_height * rng.uniform(-1, 1, wall)
+        return _revolve(rho, z, np.cos(tilt), np.sin(tilt), self._radius, rng)
+
+    def implicit(self, points: Floats) -> Floats:
+        """See `Primitive.implicit`; this is the signed distance."""
+        rho, height = np.hypot(points[:, 0], points[:, 1]), np.abs(points[:, 2])
+        corner = np.stack([rho - self._core, height - self._half_height], axis=1)
+        return _distance_to_corner(corner) - self._radius
+
+
+class Torus:
+    """A ring around z."""
+
+    def __init__(self, major: float, minor: float) -> None:
+        """Args:
+        major: Radius of the centre circle, larger than `minor`.
+        minor: Radius of the tube.
+        """
+        self._major, self._minor = major, minor
+        self.area = 4 * np.pi**2 * major * minor
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """See `Primitive.sample`."""
+        tilt = _arc_angles(self._major, self._minor, np.pi, count, rng)
+        centre = np.full(count, self._major)
+        return _revolve(centre, np.zeros(count), np.cos(tilt), np.sin(tilt), self._minor, rng)
+
+    def implicit(self, points: Floats) -> Floats:
+        """See `Primitive.implicit`; this is the signed distance."""
+        rho = np.hypot(points[:, 0], points[:, 1])
+        return np.hypot(rho - self._major, points[:, 2]) - self._minor
+
+
+class Lathe:
+    """The profile rho(z) = base + slope z + amplitude sin(frequency z + phase) turned around z, with flat caps.
+
+    Without amplitude it is a cylinder or a cone.
+    """
+
+    def __init__(
+        self,
+        half_height: float,
+        base: float,
+        slope: float = 0.0,
+        amplitude: float = 0.0,
+        frequency: float = 0.0,
+        phase: float = 0.0,
+    ) -> None:
+        """The profile must not be negative between -half_height and half_height."""
+        self._half_height = half_height
+        self._base, self._slope = base, slope
+        self._amplitude, self._frequency, self._phase = amplitude, frequency, phase
+        z = np.linspace(-half_height, half_height, 2049)
+        density = self._density(z)
+        self._largest_density = 1.01 * density.max()
+        wall = 2 * np.pi * np.sum((density[1:] + density[:-1]) / 2) * (z[1] - z[0])
+        self._areas = np.array([wall, np.pi * self._rho(z[0]) ** 2, np.pi * self._rho(z[-1]) ** 2])
+        self.area = float(self._areas.sum())
+
+    def _rho(self, z: Floats) -> Floats:
+        return self._base + self._slope * z + self._amplitude * np.sin(self._frequency * z + self._phase)
+
+    def _rise(self, z: Floats) -> Floats:
+        return self._slope + self._amplitude * self._frequency * np.cos(self._frequency * z + self._phase)
+
+    def _density(self, z: Floats) -> Floats:
+        """Area of the wall per height and angle."""
+        return self._rho(z) * np.hypot(1, self._rise(z))
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """See `Primitive.sample`."""
+        wall, bottom, top = rng.multinomial(count, self._areas / self.area)
+        height = rejected(
+            lambda n: rng.uniform(-self._half_height, self._half_height, n),
+            lambda z: self._density(z) / self._largest_density,
+            wall,
+            rng,
+        )
+        z = np.concatenate([height, np.repeat([-self._half_height, self._half_height], [bottom, top])])
+        rho = self._rho(z)
+        rho[wall:] *= np.sqrt(rng.random(bottom + top))
+        rise = self._rise(height)
+        caps = np.repeat([-1.0, 1.0], [bottom, top])
+        outward = np.concatenate([1 / np.hypot(1, rise), np.zeros(bottom + top)])
+        upward = np.concatenate([-rise / np.hypot(1, rise), caps])
+        return _revolve(rho, z, outward, upward, 0.0, rng)
+
+    def implicit(self, points: Floats) -> Floats:
+        """See `Primitive.implicit`."""
+        z = points[:, 2]
+        return np.maximum(np.hypot(points[:, 0], points[:, 1]) - self._rho(z), np.abs(z) - self._half_height)
+
+
+class ConvexPolyhedron:
+    """The convex hull of points: a prism, wedge, pyramid or an irregular block."""
+
+    def __init__(self, vertices: ArrayLike) -> None:
+        """Args:
+        vertices: (V, 3), around the origin; not all in one plane.
+        """
+        hull = ConvexHull(np.asarray(vertices, dtype=np.float64))
+        corners = hull.points[hull.simplices]
+        self._corners = corners
+        self._planes = hull.equations  # (F, 4): outward unit normal and offset of each triangle
+        self._distinct_planes = np.unique(hull.equations.round(9), axis=0)
+        sides = corners[:, 1:] - corners[:, :1]
+        self._areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
+        self.area = float(self._areas.sum())
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """See `Primitive.sample`."""
+        face = np.repeat(np.arange(len(self._areas)), rng.multinomial(count, self._areas / self.area))
+        weights = rng.exponential(size=(count, 3, 1))  # normalised, they are uniform over the triangle
+        points = (weights * self._corners[face]).sum(axis=1) / weights.sum(axis=1)
+        return points, self._planes[face, :3]
+
+    def implicit(self, points: Floats) -> Floats:
+        """See `Primitive.implicit`."""
+        return (points @ self._distinct_planes[:, :3].T + self._distinct_planes[:, 3]).max(axis=1)
+
+
+def rejected(
+    propose: Callable[[int], Floats],
+    acceptance: Callable[[Floats], Floats],
+    count: int,
+    rng: np.random.Generator,
+) -> Floats:
+    """Draws `count` proposals, each kept with its acceptance probability (at most 1).
+
+    Args:
+        propose: Gives as many proposals as asked for, along the first axis.
+        acceptance: Gives their probabilities.
+        count: Number of proposals to return.
+        rng: Source of randomness.
+    """
+    kept = propose(0)
+    rate = 0.5
+    while len(kept) < count:
+        proposals = propose(int((count - len(kept)) / rate * 1.1) + 16)
+        good = proposals[rng.random(len(proposals)) < acceptance(proposals)]
+        rate = max(len(good) / len(proposals), 0.01)
+        kept = np.concatenate([kept, good])
+    return kept[:count]
+
+
+def normalized(vectors: Floats) -> Floats:
+    """Vectors (N, 3) at length one."""
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _revolve(
+    rho: Floats, z: Floats, outward: Floats, upward: Floats, radius: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Turns points (rho, z), moved by `radius` along normals (outward, upward), by random angles around z."""
+    angle = rng.uniform(0, 2 * np.pi, len(rho))
+    cos, sin = np.cos(angle), np.sin(angle)
+    normals = np.stack([outward * cos, outward * sin, upward], axis=1)
+    return np.stack([rho * cos, rho * sin, z], axis=1) + radius * normals, normals
+
+
+def _arc_angles(centre: float, radius: float, reach: float, count: int, rng: np.random.Generator) -> Floats:
+    """Angles in [-reach, reach] on a circle at `centre` in the half plane, uniform by area once revolved."""
+    return rejected(
+        lambda n: rng.uniform(-reach, reach, n),
+        lambda tilt: (centre + radius * np.cos(tilt)) / (centre + radius),
+        count,
+        rng,
+    )
+
+
+def _distance_to_corner(offsets: Floats) -> Floats:
+    """Signed distance to the orthant offsets <= 0, (N,) from (N, D)."""
+    return np.linalg.norm(np.maximum(offsets, 0), axis=1) + np.minimum(offsets.max(axis=1), 0)
