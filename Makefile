@@ -1,0 +1,43 @@
+# make demo    normals for a sample scan, and a picture of them, in demo/
+# make test    linter, type checker and tests
+# make setup   only the virtual environment .venv, which both of the above make on their own
+#
+# make demo PYTHON=python3.12      another Python (3.10 or newer)
+# make demo TORCH_INDEX=ADDRESS    PyTorch's package index for CPU-only wheels (its address is on PyTorch's
+#                                  "Get started" page under CPU): on Linux x86-64 the default wheel brings
+#                                  several GB of CUDA libraries along
+
+PYTHON ?= python3
+TORCH_INDEX ?=
+
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+.PHONY: demo test setup
+
+demo: $(STAMP)
+	@mkdir -p demo
+	$(BIN)/jetnormal estimate samples/milk.pcd -o demo/milk_normals.ply --force
+	@$(BIN)/python samples/picture.py demo/milk_normals.ply demo/milk_normals.png \
+		--up=-0.05,-0.85,-0.46 --front=0.05,0.05,-1
+	@echo "The cloud with normals: demo/milk_normals.ply    A picture of it: demo/milk_normals.png"
+
+test: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+setup: $(STAMP)
+
+# Without ensurepip (Debian's python3 without python3-venv) an installed pip can still fill the environment.
+$(BIN)/pip:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
+		{ echo "jetnormal needs Python 3.10 or newer: name one, as in make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -m venv .venv >/dev/null 2>&1 || \
+		{ $(PYTHON) -m venv --clear --without-pip .venv && $(PYTHON) -m pip --python $(BIN)/python install pip; } || \
+		{ echo "Python cannot make a virtual environment here: apt install python3-venv" >&2; exit 1; }
+
+$(STAMP): pyproject.toml constraints.txt | $(BIN)/pip
+	$(BIN)/python -m pip install --disable-pip-version-check --no-input --constraint constraints.txt \
+		$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) --editable '.[dev]'
+	@touch $@

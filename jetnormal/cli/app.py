@@ -1,0 +1,54 @@
+"""The command line: registers the commands and turns failures into exit codes."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+import jetnormal
+from jetnormal.cli.estimate import estimate
+from jetnormal.cli.failures import report_failure
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # plain help: importing Rich would take longer than all the rest
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(estimate)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"jetnormal {jetnormal.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def describe(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Oriented surface normals for point clouds.
+
+    \b
+    Examples:
+      jetnormal estimate scan.ply -o scan_normals.ply
+      jetnormal estimate --help
+
+    \b
+    Exit codes:
+      0 done, 2 wrong usage, 3 unusable file, 4 unusable model,
+      5 not enough memory or no such device, 130 interrupted
+    """
+
+
+def main() -> None:
+    """Run the command line; the entry point of the `jetnormal` program."""
+    try:
+        app(prog_name="jetnormal")  # usage errors (2), interrupts (130) and closed pipes (1) exit in here
+    except Exception as error:
+        sys.exit(report_failure(error))

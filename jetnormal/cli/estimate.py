@@ -1,0 +1,118 @@
+"""`jetnormal estimate`: one cloud in, the same cloud with normals out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
+from jetnormal.report import logger, print_json
+
+Viewpoint = tuple[float, float, float]
+
+
+def parse_viewpoint(text: str) -> Viewpoint:
+    """Turn "X,Y,Z" into three coordinates."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not X,Y,Z: three numbers with commas between them") from None
+    return x, y, z
+
+
+def estimate(
+    input: Annotated[Path, typer.Argument(metavar="INPUT", help="Point cloud: .ply, .pcd or .xyz.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="OUTPUT", help="File to write: .ply, .pcd or .xyz.")
+    ],
+    model: Annotated[
+        str,
+        typer.Option(metavar="NAME|FILE", help="Packaged network (deepfit), pca, jet, or a checkpoint file."),
+    ] = "auto",
+    k: Annotated[
+        int | None,
+        typer.Option("--k", min=1, metavar="K", help="Neighbors per point.", show_default="the model's"),
+    ] = None,
+    order: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Order of the fitted jet.", show_default="the model's"),
+    ] = None,
+    iterations: Annotated[int, typer.Option(min=1, metavar="N", help="Fits per patch, each reweighted.")] = 1,
+    orient: Annotated[
+        Literal["auto", "none", "mst", "viewpoint", "up"], typer.Option(help="How the signs are chosen.")
+    ] = "auto",
+    viewpoint: Annotated[
+        Any,
+        typer.Option(parser=parse_viewpoint, metavar="X,Y,Z", help="Position that the normals look towards."),
+    ] = None,
+    curvature: Annotated[bool, typer.Option("--curvature", help="Also write the curvatures.")] = False,
+    confidence: Annotated[
+        bool, typer.Option("--confidence", help="Also write each normal's confidence.")
+    ] = False,
+    batch_size: Annotated[
+        int | None, typer.Option(min=1, metavar="B", help="Patches per batch.", show_default="fits memory")
+    ] = None,
+    device: Device = "auto",
+    threads: Threads = None,
+    encoding: Annotated[
+        str | None,
+        typer.Option(metavar="E", help="Encoding of the file, such as ascii.", show_default="the input's"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite OUTPUT where it exists.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Add an oriented unit normal to every point of a cloud.
+
+    OUTPUT holds what INPUT holds (coordinates, colors, other attributes, the order of the points),
+    and the normals.
+
+    \b
+    Examples:
+      jetnormal estimate scan.ply -o scan_normals.ply
+      jetnormal estimate scan.pcd -o scan.ply --model jet --k 32 --order 2
+      jetnormal estimate room.ply -o room_normals.ply --viewpoint 0,0,1.6
+      jetnormal estimate terrain.xyz -o terrain_normals.xyz --orient up
+      jetnormal estimate part.ply -o part_normals.ply --curvature --json
+    """
+    set_verbosity(quiet, verbose)
+    from jetnormal.estimation import EstimateOptions, estimate_file
+
+    options = EstimateOptions(
+        model=model,
+        k=k,
+        order=order,
+        iterations=iterations,
+        orient=orient,
+        viewpoint=viewpoint,
+        curvature=curvature,
+        confidence=confidence,
+        batch_size=batch_size,
+        device=device,
+        threads=threads,
+        encoding=encoding,
+        force=force,
+    )
+    summary = estimate_file(input, output, options)
+    report(summary)
+    if json:
+        print_json(summary)
+
+
+def report(summary: dict[str, Any]) -> None:
+    """Log what was done, and what the user should know about it."""
+    for warning in summary["warnings"]:
+        logger.warning("%s", warning)
+    logger.info(
+        "wrote %s: %s of %s points have normals (model %s, signs %s; %.1f s, %s points/s)",
+        summary["output"],
+        f"{summary['valid']:,}",
+        f"{summary['points']:,}",
+        summary["model"],
+        summary["orient"],
+        sum(summary["seconds"].values()),
+        f"{summary['points_per_second']:,.0f}",
+    )

@@ -1,0 +1,26 @@
+"""From exceptions to exit codes: the only place where the program decides how it ends."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import traceback
+
+from jetnormal.errors import JetnormalError, ResourceError
+from jetnormal.report import logger
+
+
+def report_failure(error: Exception) -> int:
+    """Say in one line on stderr what went wrong, after the traceback under `-v`; return the exit code."""
+    verbose = logger.isEnabledFor(logging.DEBUG)
+    if verbose:
+        traceback.print_exception(error)
+    if isinstance(error, JetnormalError):
+        message, code = str(error), error.exit_code
+    elif isinstance(error, MemoryError):
+        message, code = "out of memory: try a smaller --batch-size or fewer points", ResourceError.exit_code
+    else:
+        hint = "" if verbose else " (run again with -v for the traceback)"
+        message, code = f"{type(error).__name__}: {error}{hint}", JetnormalError.exit_code
+    sys.stderr.write(f"jetnormal: error: {' '.join(message.split())}\n")
+    return code

@@ -1,0 +1,148 @@
+"""What a user sees of a running job: log lines and progress on stderr, a JSON summary on stdout, timings."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+logger = logging.getLogger("jetnormal")
+
+LOG_INTERVAL = 10.0  # seconds between the progress lines of a job that no terminal watches
+
+Advance = Callable[[int], None]
+
+
+class _StderrHandler(logging.Handler):
+    """Write each record to the sys.stderr of that moment, which a progress bar may have redirected."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        sys.stderr.write(f"jetnormal: {level}{self.format(record)}\n")
+        sys.stderr.flush()
+
+
+def configure_logging(verbosity: int) -> None:
+    """Send the package's log to stderr: errors only at -1, information too at 0, debug messages too at 1."""
+    if not any(isinstance(handler, _StderrHandler) for handler in logger.handlers):
+        logger.addHandler(_StderrHandler())
+        logger.propagate = False
+    level = logging.ERROR if verbosity < 0 else logging.INFO if verbosity == 0 else logging.DEBUG
+    logger.setLevel(level)
+
+
+@contextmanager
+def progress(description: str, total: int, unit: str = "points") -> Iterator[Advance]:
+    """Show how far a loop is, how fast, and how long it still needs; yield the function that advances it.
+
+    On a terminal this is a bar that vanishes when done, elsewhere a log line every ten seconds. Nothing is
+    shown where the package does not log information: under `-q`, and in programs that use it as a library.
+
+    Args:
+        description: what is being done, such as "estimating normals".
+        total: number of units in all.
+        unit: plural name of what is counted.
+    """
+    if not logger.isEnabledFor(logging.INFO):
+        yield lambda count: None
+    elif sys.stderr.isatty():
+        yield from _bar(description, total, unit)
+    else:
+        yield _log_lines(description, total, unit)
+
+
+def _bar(description: str, total: int, unit: str) -> Iterator[Advance]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class RateColumn(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text(f"{task.speed or 0:,.0f} {unit}/s")
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        RateColumn(),
+        TimeRemainingColumn(),
+        TextColumn("left"),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda count: bar.advance(task, count)
+
+
+def _log_lines(description: str, total: int, unit: str) -> Advance:
+    start = last = time.monotonic()
+    done = 0
+
+    def advance(count: int) -> None:
+        nonlocal last, done
+        done += count
+        now = time.monotonic()
+        if now - last < LOG_INTERVAL or done >= total:
+            return
+        last = now
+        rate = done / (now - start)
+        left = (total - done) / rate if rate else float("inf")
+        logger.info(
+            "%s: %.0f %%, %s %s/s, %.0f s left", description, 100 * done / total, f"{rate:,.0f}", unit, left
+        )
+
+    return advance
+
+
+class StageTimer:
+    """Wall-clock seconds of a job's stages, in the order in which they first began.
+
+    >>> timer = StageTimer()
+    >>> with timer.stage("read"):
+    ...     cloud = read(path)
+    >>> timer.seconds
+    {'read': 0.02}
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the body; a stage that is entered again adds up."""
+        self.seconds.setdefault(name, 0.0)
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] += time.perf_counter() - start
+            logger.debug("%s: %.2f s", name, self.seconds[name])
+
+    @property
+    def total(self) -> float:
+        """Seconds of all stages together."""
+        return sum(self.seconds.values())
+
+
+def peak_memory_mb() -> float | None:
+    """Most memory this process has held so far, in MB (10^6 bytes); None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024  # macOS counts bytes, the others KiB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def print_json(summary: Mapping[str, Any]) -> None:
+    """Print one JSON object on stdout."""
+    sys.stdout.write(json.dumps(summary, indent=2, default=_plain) + "\n")
+    sys.stdout.flush()  # a closed pipe shows here, where it can be handled, and not at exit
+
+
+def _plain(value: Any) -> Any:
+    """Stand-in for what JSON does not know: NumPy's scalars and arrays as numbers, paths as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
