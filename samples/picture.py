@@ -2,7 +2,7 @@
 
     python samples/picture.py scan_normals.ply scan_normals.png --up=0,-1,0 --front=0.5,-0.3,-1
 
-Every point becomes a small disk, and the nearest one wins. In the last panel a normal with the wrong sign is a
+Every point becomes a small disk, and the nearest one wins. In the last panel a wrong sign shows as a
 dark spot.
 """
 

@@ -1,0 +1,105 @@
+"""The wheel, installed into an environment of its own, works far from the source tree."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from importlib.metadata import requires
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jetnormal
+
+ROOT = Path(__file__).parents[1]
+MODELS = sorted(path.stem for path in (ROOT / "models").glob("*.safetensors"))
+
+
+def run(*command: str | Path, cwd: Path) -> str:
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    result = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=240)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT, cwd=folder)
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def programs(wheel, tmp_path_factory) -> Path:
+    """Folder of the programs of a fresh environment: the wheel, and this one's packages as dependencies."""
+    environment = tmp_path_factory.mktemp("environment")
+    run(sys.executable, "-m", "venv", "--without-pip", environment, cwd=environment)
+    programs = environment / ("Scripts" if os.name == "nt" else "bin")
+    where = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    packages = Path(run(programs / "python", "-c", where, cwd=environment).strip())
+    # .pth files in the folder named here are not read, so the source tree's editable install stays invisible.
+    (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    options = ("--no-deps", "--no-index", "--quiet")
+    run(
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        programs / "python",
+        "install",
+        *options,
+        wheel,
+        cwd=environment,
+    )
+    return programs
+
+
+def test_wheel_carries_models_types_and_licence(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    models = {f"jetnormal/models/{path.name}" for path in (ROOT / "models").iterdir()}
+    assert models <= set(names)
+    assert "jetnormal/py.typed" in names
+    assert any(re.fullmatch(r"jetnormal-[^/]+\.dist-info/licenses/LICENSE", name) for name in names)
+    assert not [name for name in names if name.startswith(("tests/", "samples/", "models/"))]
+
+
+def test_installed_program_runs_the_installed_package(programs, tmp_path):
+    assert "jetnormal estimate" in run(programs / "jetnormal", "--help", cwd=tmp_path)
+    assert run(programs / "jetnormal", "--version", cwd=tmp_path) == f"jetnormal {jetnormal.__version__}\n"
+    where = "import jetnormal._resources as r; print(r.__file__); print(r.model_directory())"
+    module, models = (Path(line) for line in run(programs / "python", "-c", where, cwd=tmp_path).splitlines())
+    assert module.is_relative_to(programs.parent)
+    assert models == module.parent / "models"
+    assert {path.name for path in models.iterdir()} == {path.name for path in (ROOT / "models").iterdir()}
+
+
+@pytest.mark.parametrize("model", ["jet", *MODELS])
+def test_installed_program_estimates_in_another_folder(model, programs, tmp_path):
+    points = np.random.default_rng(0).normal(size=(600, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    np.savetxt(tmp_path / "sphere.xyz", points, fmt="%.9f")
+    run(programs / "jetnormal", "estimate", "sphere.xyz", "-o", "out.xyz", "--model", model, cwd=tmp_path)
+    out = np.loadtxt(tmp_path / "out.xyz")
+    assert np.allclose(out[:, :3], points, atol=1e-6)
+    cosines = np.sum(out[:, 3:6] * points, axis=1)
+    assert np.median(cosines) > 0.95  # outwards, a sphere's normals are its points
+
+
+def test_constraints_pin_every_dependency():
+    def names(lines: list[str]) -> set[str]:
+        return {re.split(r"[^\w-]", line, maxsplit=1)[0].lower() for line in lines if line[:1].isalpha()}
+
+    constraints = (ROOT / "constraints.txt").read_text().splitlines()
+    assert names(requires("jetnormal") or []) - {"jetnormal"} <= names(constraints)
+
+
+def test_source_checkout_finds_its_models():
+    from jetnormal._resources import model_directory
+
+    assert model_directory() == ROOT / "models"
