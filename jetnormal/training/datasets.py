@@ -103,7 +103,7 @@ class PcpnetFolder:
         path = self._directory / list_file
         if not path.is_file():
             raise InputError(f"{path}: no such list of clouds")
-        names = path.read_text(encoding="utf-8").split()
+        names = path.read_text(encoding="utf-8", errors="replace").split()
         present = set(self._with_normals())
         missing = [name for name in names if name not in present]
         if missing:
@@ -183,12 +183,14 @@ class Mixture:
     """
 
     def __init__(self, sources: Sequence[DataSource], weights: Sequence[float] | None = None) -> None:
-        """Args:
-        sources: At least one.
-        weights: One positive number per source; by default the sources' `clouds_per_epoch`.
+        """Plans the turns of an epoch.
+
+        Args:
+            sources: At least one.
+            weights: One positive number per source; by default the sources' `clouds_per_epoch`.
 
         Raises:
-            UsageError: There are no sources, or the weights do not fit them.
+            UsageError: There are no sources, the weights do not fit them, or one is too small for a turn.
         """
         self._sources = list(sources)
         lengths = np.array([source.clouds_per_epoch for source in sources])
@@ -203,6 +205,10 @@ class Mixture:
             chosen = int(np.argmax(share / share.sum() * turn - taken))
             taken[chosen] += 1
             self._turns.append(chosen)
+        if not taken.all():
+            raise UsageError(
+                f"a weight of the mixture is too small for a turn in {self.clouds_per_epoch} clouds"
+            )
 
     def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
         """See `DataSource.cloud`."""
@@ -210,7 +216,10 @@ class Mixture:
         source = self._sources[chosen]
         position = epoch * self._turns.count(chosen) + self._turns[:index].count(chosen)
         own_epoch, own_index = divmod(position, source.clouds_per_epoch)
-        return source.cloud(own_epoch, own_index, seed)
+        own_seed = int(
+            np.random.SeedSequence([seed, chosen]).generate_state(1)[0]
+        )  # else corruptions would agree
+        return source.cloud(own_epoch, own_index, own_seed)
 
 
 def open_dataset(
@@ -238,6 +247,8 @@ def open_dataset(
         InputError: A folder is missing or holds neither, or its list does not fit it.
         UsageError: There is neither a folder nor `synthetic`.
     """
+    if not paths and not synthetic:
+        raise UsageError("there is no training data: give a folder or ask for synthetic solids")
     sources: list[DataSource] = []
     for path in paths:
         sources.append(_open_folder(Path(path), list_file, clouds_per_epoch, points))
@@ -276,10 +287,7 @@ def _drawn(name: str, surface: Surface, largest: int, rng: np.random.Generator) 
 
 
 def _load_sampler(path: Path) -> MeshSampler:
-    try:
-        return MeshSampler(load_mesh(path))
-    except InputError as error:
-        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+    return MeshSampler(load_mesh(path))
 
 
 def _meshes_in(directory: Path) -> list[Path]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from jetnormal._open3d import import_open3d
 from jetnormal.errors import InputError
 
 MESH_SUFFIXES = (".npz", ".ply", ".obj", ".off", ".stl")
@@ -36,7 +37,7 @@ def load_mesh(path: Path | str) -> Mesh:
 
     Raises:
         InputError: The file is missing, of another type or unreadable, has no faces, has vertices that are
-            not finite, or faces that name vertices which do not exist.
+            not finite, or faces that name vertices which do not exist or that are all degenerate.
     """
     path = Path(path)
     if not path.is_file():
@@ -51,6 +52,8 @@ def load_mesh(path: Path | str) -> Mesh:
         raise InputError(f"{path}: a face names a vertex that does not exist (there are {len(vertices)})")
     if not np.isfinite(vertices).all():
         raise InputError(f"{path}: has vertices that are not finite")
+    if not np.cross(*np.diff(vertices[faces], axis=1).swapaxes(0, 1)).any():
+        raise InputError(f"{path}: all its faces are degenerate")
     vertices, merged = np.unique(vertices, axis=0, return_inverse=True)
     return Mesh(vertices, merged.reshape(-1)[faces])
 
@@ -66,8 +69,9 @@ def _read_npz(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _read_with_open3d(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    import open3d
-
+    open3d = import_open3d()
+    if open3d is None:
+        raise InputError(f"{path}: this mesh format needs Open3D; meshes in .npz do not")
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         mesh = open3d.io.read_triangle_mesh(path)  # an unreadable file gives an empty mesh
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.triangles, dtype=np.int64)
@@ -83,17 +87,11 @@ class MeshSampler:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        """Computes areas and corner normals once.
-
-        Raises:
-            InputError: The whole surface has no area.
-        """
+        """Computes areas and corner normals once; the mesh must have a face with an area."""
         corners = mesh.vertices[mesh.faces]
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         areas = np.linalg.norm(doubled, axis=1) / 2
         self._cumulative_area = np.cumsum(areas)
-        if not self._cumulative_area[-1] > 0:
-            raise InputError("the mesh has no area: all its faces are degenerate")
         inward = _encloses_negative_volume(corners, doubled)
         self._mesh = mesh
         self._face_normals = _unit(-doubled if inward else doubled)

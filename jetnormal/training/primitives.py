@@ -7,6 +7,7 @@ a family: see `RoundedBox` (box, plate, capsule, sphere), `Lathe` (cylinder, con
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Protocol
 
 import numpy as np
@@ -25,7 +26,7 @@ class Primitive(Protocol):
         ...
 
     def sample(self, count: int, rng: np.random.Generator, /) -> tuple[Floats, Floats]:
-        """Returns points uniform over the surface, (count, 3), in any order, and their outward unit normals."""
+        """Returns points uniform over the surface, (count, 3), in any order, and outward unit normals."""
         ...
 
     def implicit(self, points: Floats, /) -> Floats:
@@ -43,9 +44,11 @@ class RoundedBox:
     )
 
     def __init__(self, half: ArrayLike, radius: float = 0.0) -> None:
-        """Args:
-        half: (3,) half sizes of the inner box; zeros are allowed with a positive radius.
-        radius: Of the rounded edges; 0 gives sharp edges.
+        """Sets the sizes.
+
+        Args:
+            half: (3,) half sizes of the inner box; zeros are allowed with a positive radius.
+            radius: Of the rounded edges; 0 gives sharp edges.
         """
         self._half = np.asarray(half, dtype=np.float64)
         self._radius = radius
@@ -70,10 +73,12 @@ class RoundedCylinder:
     """All points within `radius` of a cylinder around z: a disc or drum with filleted rims."""
 
     def __init__(self, core: float, half_height: float, radius: float) -> None:
-        """Args:
-        core: Radius of the inner cylinder.
-        half_height: Of the inner cylinder.
-        radius: Of the fillets.
+        """Sets the sizes.
+
+        Args:
+            core: Radius of the inner cylinder.
+            half_height: Of the inner cylinder.
+            radius: Of the fillets.
         """
         self._core, self._half_height, self._radius = core, half_height, radius
         caps = 2 * np.pi * core**2
@@ -106,9 +111,11 @@ class Torus:
     """A ring around z."""
 
     def __init__(self, major: float, minor: float) -> None:
-        """Args:
-        major: Radius of the centre circle, larger than `minor`.
-        minor: Radius of the tube.
+        """Sets the sizes.
+
+        Args:
+            major: Radius of the centre circle, larger than `minor`.
+            minor: Radius of the tube.
         """
         self._major, self._minor = major, minor
         self.area = 4 * np.pi**2 * major * minor
@@ -126,7 +133,7 @@ class Torus:
 
 
 class Lathe:
-    """The profile rho(z) = base + slope z + amplitude sin(frequency z + phase) turned around z, with flat caps.
+    """The profile base + slope z + amplitude sin(frequency z + phase) turned around z, with flat caps.
 
     Without amplitude it is a cylinder or a cone.
     """
@@ -189,9 +196,7 @@ class ConvexPolyhedron:
     """The convex hull of points: a prism, wedge, pyramid or an irregular block."""
 
     def __init__(self, vertices: ArrayLike) -> None:
-        """Args:
-        vertices: (V, 3), around the origin; not all in one plane.
-        """
+        """Takes the hull of `vertices`, (V, 3), which are around the origin and not all in one plane."""
         hull = ConvexHull(np.asarray(vertices, dtype=np.float64))
         corners = hull.points[hull.simplices]
         self._corners = corners
@@ -239,7 +244,7 @@ def rejected(
 
 def normalized(vectors: Floats) -> Floats:
     """Vectors (N, 3) at length one."""
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]  # much faster than linalg.norm
 
 
 def _revolve(
@@ -264,4 +269,6 @@ def _arc_angles(centre: float, radius: float, reach: float, count: int, rng: np.
 
 def _distance_to_corner(offsets: Floats) -> Floats:
     """Signed distance to the orthant offsets <= 0, (N,) from (N, D)."""
-    return np.linalg.norm(np.maximum(offsets, 0), axis=1) + np.minimum(offsets.max(axis=1), 0)
+    outside = np.maximum(offsets, 0)
+    largest = reduce(np.maximum, offsets.T)  # much faster than max(axis=1)
+    return np.sqrt(np.einsum("ij,ij->i", outside, outside)) + np.minimum(largest, 0)

@@ -1,4 +1,4 @@
-"""Procedural solids with exact normals, made by constructive solid geometry from analytic primitives.
+"""Random solids with exact normals, put together from analytic primitives.
 
 They hold what a network must learn and what few meshes have without error: sharp edges between exact faces,
 thin walls, holes, fillets, and curved surfaces whose normals are known in closed form.
@@ -6,12 +6,10 @@ thin walls, holes, fillets, and curved surfaces whose normals are known in close
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from jetnormal.training.primitives import (
@@ -23,93 +21,8 @@ from jetnormal.training.primitives import (
     RoundedCylinder,
     Torus,
 )
+from jetnormal.training.solids import Part, Solid
 from jetnormal.training.starshaped import BumpySphere, Superellipsoid
-
-
-@dataclass(frozen=True)
-class Part:
-    """A primitive at its place in a solid.
-
-    Attributes:
-        primitive: The shape.
-        operation: Whether it is added to or cut from the parts before it.
-        translation: (3,).
-        rotation: (3, 3).
-        scale: Positive, the same along all axes.
-    """
-
-    primitive: Primitive
-    operation: Literal["union", "difference"] = "union"
-    translation: Floats = field(default_factory=lambda: np.zeros(3))
-    rotation: Floats = field(default_factory=lambda: np.eye(3))
-    scale: float = 1.0
-
-    @property
-    def area(self) -> float:
-        return self.scale**2 * self.primitive.area
-
-    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """See `Primitive.sample`."""
-        points, normals = self.primitive.sample(count, rng)
-        return self.scale * points @ self.rotation.T + self.translation, normals @ self.rotation.T
-
-    def contains(self, points: Floats) -> NDArray[np.bool_]:
-        """Which of the points (N, 3) lie inside, (N,)."""
-        return self.primitive.implicit((points - self.translation) @ self.rotation / self.scale) < 0
-
-
-class Solid:
-    """Parts that are added and cut in their order; the first one is always added."""
-
-    def __init__(self, parts: Sequence[Part]) -> None:
-        """Two parts must not share a piece of surface, which random places make sure of."""
-        self.parts = tuple(parts)
-        areas = np.array([part.area for part in parts])
-        self._shares = areas / areas.sum()
-        self._yield = 1.0
-        self._yield = max(len(self._surviving(4096, np.random.default_rng(0))[0]) / 4096, 1e-3)
-
-    @property
-    def exposed_share(self) -> float:
-        """Roughly the share of the parts' surfaces that is left as the surface of the solid."""
-        return self._yield
-
-    def contains(self, points: Floats) -> NDArray[np.bool_]:
-        """Which of the points (N, 3) lie inside, (N,)."""
-        return self._combined([part.contains(points) for part in self.parts])
-
-    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Returns `count` points uniform over the surface, (count, 3), and their outward unit normals."""
-        points, normals = np.empty((0, 3)), np.empty((0, 3))
-        while len(points) < count:
-            more = self._surviving(int((count - len(points)) / self._yield * 1.02) + 256, rng)
-            points = np.concatenate([points, more[0]])
-            normals = np.concatenate([normals, more[1]])
-        return points[:count], normals[:count]
-
-    def _combined(self, inside: Sequence[NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        result = inside[0]
-        for part, mask in zip(self.parts[1:], inside[1:], strict=True):
-            result = result | mask if part.operation == "union" else result & ~mask
-        return result
-
-    def _surviving(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Draws `count` points from the parts in random order and keeps those on the surface of the solid."""
-        kept = []
-        for index, share in enumerate(rng.multinomial(count, self._shares)):
-            points, normals = self.parts[index].sample(share, rng)
-            inside = [part.contains(points) if part is not self.parts[index] else None for part in self.parts]
-            # A point of a part's surface is on the solid's if it matters there which side of the part one is
-            # on; where the inside of the part is outside of the solid, the part was cut and its normal turns.
-            within, without = np.ones(len(points), bool), np.zeros(len(points), bool)
-            behind = self._combined([within if mask is None else mask for mask in inside])
-            ahead = self._combined([without if mask is None else mask for mask in inside])
-            exposed = behind != ahead
-            sign = np.where(behind, 1.0, -1.0)
-            kept.append((points[exposed], (normals * sign[:, None])[exposed]))
-        points, normals = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
-        order = rng.permutation(len(points))
-        return points[order], normals[order]
 
 
 def random_solid(rng: np.random.Generator) -> Solid:

@@ -53,10 +53,7 @@ class Superellipsoid(StarShaped):
     """sum |x_i / a_i|^p <= 1: an ellipsoid for p = 2, nearer to a box the larger p is."""
 
     def __init__(self, semi_axes: ArrayLike, exponent: float = 2.0) -> None:
-        """Args:
-        semi_axes: (3,) positive.
-        exponent: At least 2.
-        """
+        """Sets the (3,) positive semi-axes and the exponent, at least 2."""
         self._semi_axes = np.asarray(semi_axes, dtype=np.float64)
         self._exponent = exponent
         super().__init__()
@@ -74,10 +71,12 @@ class BumpySphere(StarShaped):
     """The unit sphere with plane waves on it: r(u) = 1 + sum a_k sin(w_k . u + phase_k)."""
 
     def __init__(self, amplitudes: ArrayLike, waves: ArrayLike, phases: ArrayLike) -> None:
-        """Args:
-        amplitudes: (K,), absolute values adding up to less than 1.
-        waves: (K, 3) wave vectors.
-        phases: (K,).
+        """Sets K waves.
+
+        Args:
+            amplitudes: (K,), absolute values adding up to less than 1.
+            waves: (K, 3) wave vectors.
+            phases: (K,).
         """
         self._amplitudes = np.asarray(amplitudes, dtype=np.float64)
         self._waves = np.asarray(waves, dtype=np.float64)
