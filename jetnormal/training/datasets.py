@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from jetnormal.errors import InputError, UsageError
 from jetnormal.training.corruption import Surface, scan
 from jetnormal.training.meshes import MESH_SUFFIXES, MeshSampler, load_mesh
+from jetnormal.training.pcpnet import cloud_names, read_cloud
 from jetnormal.training.shapes import random_solid
 
 TRAINING_LIST = "trainingset_whitenoise.txt"
@@ -74,9 +75,7 @@ class PcpnetFolder:
         """
         self._directory = Path(directory)
         self._augment = list_file is None
-        self.names = self._with_normals() if list_file is None else self._listed(list_file)
-        if not self.names:
-            raise InputError(f"{self._directory / (list_file or '')}: holds no clouds with normals")
+        self.names = cloud_names(self._directory, list_file)
         self._load = lru_cache(maxsize=None)(self._read)
 
     @property
@@ -95,41 +94,8 @@ class PcpnetFolder:
         rng = np.random.default_rng([seed, epoch, index])
         return _drawn(cloud.name, _Subset(cloud), len(cloud.points), rng)
 
-    def _with_normals(self) -> list[str]:
-        names = sorted(path.stem for path in self._directory.glob("*.normals"))
-        return [name for name in names if self._path(name, "xyz").is_file()]
-
-    def _listed(self, list_file: str) -> list[str]:
-        path = self._directory / list_file
-        if not path.is_file():
-            raise InputError(f"{path}: no such list of clouds")
-        names = path.read_text(encoding="utf-8", errors="replace").split()
-        present = set(self._with_normals())
-        missing = [name for name in names if name not in present]
-        if missing:
-            shown = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
-            raise InputError(f"{path}: listed clouds lack their .xyz or .normals file: {shown}")
-        return names
-
     def _read(self, name: str) -> LabeledCloud:
-        points = _read_numbers(self._path(name, "xyz"), columns=3)
-        path = self._path(name, "normals")
-        normals = _read_numbers(path, columns=3)
-        if len(normals) != len(points):
-            raise InputError(f"{path}: {len(normals)} normals for {len(points)} points")
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        if not length.all():
-            raise InputError(f"{path}: row {int(np.argmin(length)) + 1} is no direction")
-        queries = None
-        path = self._path(name, "pidx")
-        if path.is_file():
-            queries = _read_numbers(path, columns=1)[:, 0].astype(np.int64)
-            if queries.min() < 0 or queries.max() >= len(points):
-                raise InputError(f"{path}: an index is not among the {len(points)} points")
-        return LabeledCloud(name, points, normals / length, queries)
-
-    def _path(self, name: str, suffix: str) -> Path:
-        return self._directory / f"{name}.{suffix}"  # names contain dots, so no with_suffix
+        return LabeledCloud(name, *read_cloud(self._directory, name))
 
 
 class MeshFolder:
@@ -292,14 +258,3 @@ def _load_sampler(path: Path) -> MeshSampler:
 
 def _meshes_in(directory: Path) -> list[Path]:
     return sorted(path for path in directory.glob("*") if path.suffix.lower() in MESH_SUFFIXES)
-
-
-def _read_numbers(path: Path, columns: int) -> NDArray[np.float64]:
-    """Reads a text file of finite numbers, (N, columns), N > 0."""
-    try:
-        numbers = np.loadtxt(path, dtype=np.float64, ndmin=2)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: {error}") from error
-    if numbers.size == 0 or numbers.shape[1] != columns or not np.isfinite(numbers).all():
-        raise InputError(f"{path}: must hold {columns} finite numbers per row")
-    return numbers
