@@ -15,7 +15,8 @@ class Source:
 
     Attributes:
         format: ``"ply"``, ``"pcd"``, ``"xyz"``, or ``""`` for a cloud made in memory.
-        encoding: the format's own word, such as ``"ascii"``, ``"binary_big_endian"``, ``"binary_compressed"``.
+        encoding: the format's own word, such as ``"ascii"``, ``"binary_big_endian"``,
+            ``"binary_compressed"``.
         comments: the comment lines, without their markers.
         viewpoint: the sensor pose of a PCD file: x y z and the quaternion w x y z.
         width: columns of an organised cloud, else the number of points or None.
@@ -75,7 +76,8 @@ class Cloud:
     @property
     def valid(self) -> NDArray[np.bool_]:
         """(N,) bool: the points whose three coordinates are finite."""
-        return np.isfinite(self.points).all(axis=1)
+        finite: NDArray[np.bool_] = np.isfinite(self.points).all(axis=1)
+        return finite
 
 
 def _rows_of_three(values: NDArray[Any], name: str) -> NDArray[np.float64]:

@@ -1,0 +1,276 @@
+"""PCD, the Point Cloud Library's format: ascii, binary (little endian) and LZF-compressed binary.
+
+Format: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.cloud import Cloud, Source
+from jetnormal.errors import InputError
+from jetnormal.formats import lzf
+from jetnormal.formats.columns import Columns, cloud_from_columns, columns_from_cloud, unique_name
+from jetnormal.formats.storage import pack_colors, to_storable
+from jetnormal.formats.table import format_rows, read_table
+
+ENCODINGS = ("binary", "binary_compressed", "ascii")
+
+_TITLE = ".PCD v0.7 - Point Cloud Data file format"
+_NORMALS = ("normal_x", "normal_y", "normal_z")
+IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+_TYPES = frozenset(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"))
+_FIELD_KEYS = ("FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT")
+_CLOUD_KEYS = ("VERSION", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_LONGEST_HEADER_LINE = 65536
+
+
+@dataclass(frozen=True)
+class _Header:
+    dtype: np.dtype[Any]
+    """One point: a structured type whose fields with COUNT > 1 are sub-arrays."""
+    width: int
+    height: int
+    viewpoint: tuple[float, ...]
+    encoding: str
+    comments: tuple[str, ...]
+    lines: int
+
+    @property
+    def points(self) -> int:
+        return self.width * self.height
+
+    @property
+    def columns(self) -> int:
+        return sum(int(np.prod(self.dtype[name].shape)) for name in self.dtype.names or ())
+
+
+def read(path: Path) -> Cloud:
+    """Reads a PCD file. Organised clouds come row after row, NaN points included.
+
+    Raises:
+        InputError: if the file is no PCD file, is damaged, or holds no coordinates.
+    """
+    with path.open("rb") as stream:
+        header = _read_header(stream, path)
+        size = path.stat().st_size - stream.tell()
+        if header.encoding == "ascii":
+            columns = _read_ascii(stream, header, size, path)
+        elif header.encoding == "binary":
+            columns = _read_binary(stream, header, size, path)
+        else:
+            columns = _read_compressed(stream, header, size, path)
+    source = Source(
+        format="pcd",
+        encoding=header.encoding,
+        comments=header.comments,
+        viewpoint=header.viewpoint,
+        width=header.width,
+        height=header.height,
+    )
+    return cloud_from_columns(columns, source, path)
+
+
+def _read_header(stream: BinaryIO, path: Path) -> _Header:
+    entries: dict[str, list[str]] = {}
+    comments: list[str] = []
+    lines = 0
+    while "DATA" not in entries:
+        raw = stream.readline(_LONGEST_HEADER_LINE)
+        lines += 1
+        text = raw.decode("utf-8-sig", "surrogateescape").strip()
+        if text.startswith("#"):
+            comments.append(text[1:].strip())
+        elif text:
+            key, *values = text.split()
+            if key not in (*_FIELD_KEYS, *_CLOUD_KEYS):
+                raise InputError(f"{path}: line {lines}: {text[:40]!r} is no PCD header; is this a PCD file?")
+            entries["FIELDS" if key == "COLUMNS" else key] = values
+        elif not raw:
+            raise InputError(f"{path}: the PCD header has no DATA line; the file is truncated or no PCD file")
+    try:
+        return _interpret(entries, tuple(comments), lines)
+    except ValueError as error:
+        raise InputError(
+            f"{path}: damaged PCD header ({error}); correct it or export the file again"
+        ) from None
+
+
+def _interpret(entries: dict[str, list[str]], comments: tuple[str, ...], lines: int) -> _Header:
+    fields = entries.get("FIELDS", [])
+    counts = [int(count) for count in entries.get("COUNT", ["1"] * len(fields))]
+    sizes, kinds = entries.get("SIZE", []), entries.get("TYPE", [])
+    if not fields or not len(fields) == len(sizes) == len(kinds) == len(counts):
+        raise ValueError("FIELDS, SIZE, TYPE and COUNT do not have the same number of entries")
+    described: list[tuple[str, str, tuple[int, ...]]] = []
+    for name, size, kind, count in zip(fields, sizes, kinds, counts, strict=True):
+        if kind.lower() + size not in _TYPES or count < 1:
+            raise ValueError(f"field {name!r} has TYPE {kind}, SIZE {size} and COUNT {count}")
+        unique = unique_name(name, [field[0] for field in described])
+        described.append((unique, "<" + kind.lower() + size, () if count == 1 else (count,)))
+    declared = {key: int(" ".join(entries[key])) for key in ("WIDTH", "HEIGHT", "POINTS") if key in entries}
+    width, height = declared.get("WIDTH", declared.get("POINTS", -1)), declared.get("HEIGHT", 1)
+    if width < 0 or height < 0 or declared.get("POINTS", width * height) != width * height:
+        raise ValueError(f"the number of points is unclear: {declared}")
+    viewpoint = tuple(float(value) for value in entries.get("VIEWPOINT", IDENTITY))
+    encoding = " ".join(entries["DATA"])
+    if len(viewpoint) != 7:
+        raise ValueError("VIEWPOINT does not hold 7 numbers")
+    if encoding not in ENCODINGS:
+        raise ValueError(f"DATA {encoding} is none of {', '.join(ENCODINGS)}")
+    return _Header(np.dtype(described), width, height, viewpoint, encoding, comments, lines)
+
+
+def _read_ascii(stream: BinaryIO, header: _Header, size: int, path: Path) -> Columns:
+    _check_size(header, header.points * 2 * header.columns - 1, size, path)
+    table = read_table(
+        stream,
+        header.dtype,
+        path=path,
+        line=header.lines + 1,
+        columns=header.columns,
+        rows=header.points,
+    )
+    if stream.read().strip():
+        raise InputError(f"{path}: holds more than the {header.points} points it declares; correct POINTS")
+    return _fields(table)
+
+
+def _read_binary(stream: BinaryIO, header: _Header, size: int, path: Path) -> Columns:
+    _check_size(header, header.points * header.dtype.itemsize, size, path)
+    return _fields(np.fromfile(stream, header.dtype, header.points))
+
+
+def _read_compressed(stream: BinaryIO, header: _Header, size: int, path: Path) -> Columns:
+    """The fields lie one after another (all x, then all y, ...), packed as a whole."""
+    if header.points == 0:
+        return _fields(np.empty(0, header.dtype))
+    expected = header.points * header.dtype.itemsize
+    _check_size(header, 8 + expected // lzf.MAX_RATIO, size, path)
+    packed_size, unpacked_size = struct.unpack("<II", stream.read(8))
+    packed = stream.read(packed_size)
+    if unpacked_size != expected or len(packed) != packed_size:
+        raise InputError(
+            f"{path}: {header.points} points need {expected} bytes, but {len(packed)} of {packed_size} "
+            f"compressed bytes for {unpacked_size} are there; the file is truncated or its header is wrong"
+        )
+    try:
+        data = lzf.decompress(packed, unpacked_size)
+    except ValueError as error:
+        raise InputError(f"{path}: damaged compressed data ({error}); export the file again") from None
+    columns: Columns = {}
+    offset = 0
+    for name in header.dtype.names or ():
+        field = header.dtype[name]
+        values = np.frombuffer(data, field.base, header.points * int(np.prod(field.shape)), offset)
+        columns[name] = values.reshape(header.points, *field.shape)
+        offset += values.nbytes
+    return columns
+
+
+def _check_size(header: _Header, needed: int, size: int, path: Path) -> None:
+    if needed > size:
+        raise InputError(
+            f"{path}: declares {header.points} points, which need at least {needed} bytes, but {size} follow "
+            "the header; the file is truncated or its header is wrong"
+        )
+
+
+def _fields(table: NDArray[Any]) -> Columns:
+    return {name: table[name] for name in table.dtype.names or ()}
+
+
+def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
+    """Writes a PCD file.
+
+    New normals are float32, as in PCL's point types, and come with a ``curvature``: pcl::Normal and
+    pcl::PointNormal hold the four together, and PCL's loader complains about a file without it. An unknown
+    curvature is 0, PCL's own default. Colours of other formats are packed into ``rgb``.
+
+    Returns:
+        What could not be kept.
+    """
+    columns, warnings = columns_from_cloud(cloud, _NORMALS, np.dtype(np.float32))
+    if cloud.source.format != "pcd":
+        columns = pack_colors(columns)
+    columns, changed = to_storable(columns, _TYPES, vectors=True)
+    if cloud.normals is not None and cloud.source.normal_dtype is None:
+        columns = _with_curvature(columns, len(cloud))
+    if encoding == "ascii":
+        columns = {name: _printable_color(name, values) for name, values in columns.items()}
+    stream.write(_header_text(cloud, columns, encoding).encode("utf-8", "surrogateescape"))
+    for chunk in _body(columns, encoding):
+        stream.write(chunk)
+    return warnings + changed
+
+
+def _with_curvature(columns: Columns, points: int) -> Columns:
+    curvature = columns.pop("curvature", np.zeros(points)).astype(np.float32)
+    ordered: Columns = {}
+    for name, values in columns.items():
+        ordered[name] = values
+        if name == _NORMALS[-1]:
+            ordered["curvature"] = curvature
+    return ordered
+
+
+def _printable_color(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Opaque colours packed in floats are NaN, whose bits text would lose: as in PCL, integers it is."""
+    if name in ("rgb", "rgba") and values.dtype == np.float32 and not np.isfinite(values).all():
+        return np.ascontiguousarray(values).view(np.uint32)
+    return values
+
+
+def _header_text(cloud: Cloud, columns: Columns, encoding: str) -> str:
+    width, height = cloud.source.width or 0, cloud.source.height or 0
+    if width * height != len(cloud):  # points were removed, or the format had no such thing
+        width, height = len(cloud), 1
+    counts = [int(np.prod(values.shape[1:])) for values in columns.values()]
+    own_comments = cloud.source.format == "pcd"
+    comments = cloud.source.comments if own_comments else (_TITLE, *cloud.source.comments)
+    lines = [f"# {comment}".rstrip() for comment in comments]
+    lines += [
+        "VERSION 0.7",
+        "FIELDS " + " ".join(columns),
+        "SIZE " + " ".join(str(values.dtype.itemsize) for values in columns.values()),
+        "TYPE " + " ".join(values.dtype.kind.upper() for values in columns.values()),
+        "COUNT " + " ".join(map(str, counts)),
+        f"WIDTH {width}",
+        f"HEIGHT {height}",
+        "VIEWPOINT " + " ".join(repr(v).removesuffix(".0") for v in cloud.source.viewpoint or IDENTITY),
+        f"POINTS {len(cloud)}",
+        f"DATA {encoding}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _body(columns: Columns, encoding: str) -> Iterator[bytes | memoryview]:
+    points = len(columns["x"])
+    if encoding == "ascii":
+        flat = (
+            [part for values in columns.values() for part in values.reshape(points, -1).T] if points else []
+        )
+        yield from format_rows(flat, " ") if points else ()
+    elif encoding == "binary":
+        described = [
+            (name, values.dtype.newbyteorder("<"), values.shape[1:]) for name, values in columns.items()
+        ]
+        table = np.empty(points, np.dtype(described))
+        for name, values in columns.items():
+            table[name] = values
+        yield table.view(np.uint8).data
+    else:
+        fields = b"".join(
+            values.astype(values.dtype.newbyteorder("<")).tobytes() for values in columns.values()
+        )
+        if len(fields) > 0xFFFFFFFF:
+            raise InputError("a compressed PCD file holds at most 4 GiB; choose the encoding 'binary'")
+        packed = lzf.compress(fields)
+        yield struct.pack("<II", len(packed), len(fields)) + packed

@@ -1,0 +1,257 @@
+"""The XYZ family: rows of numbers as text, in ``.xyz .txt .asc .csv .pts`` files.
+
+Understood are blanks, tabs, commas and semicolons between the numbers (with semicolons also decimal commas);
+a line of column names, plain or as a comment; a line with the number of points; comments after ``#`` or
+``//``; Fortran's exponents (``1D3``).
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.cloud import Cloud, Source
+from jetnormal.errors import InputError
+from jetnormal.formats.columns import (
+    COORDINATES,
+    NORMALS,
+    Columns,
+    canonical_names,
+    cloud_from_columns,
+    columns_from_cloud,
+    unique_name,
+)
+from jetnormal.formats.storage import COLORS, to_storable, unpack_colors
+from jetnormal.formats.table import format_rows, read_table
+from jetnormal.formats.text_header import Preamble, read_preamble
+
+ENCODINGS = ("ascii",)
+
+_TYPES = frozenset(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"))
+_UNIT_TOLERANCE = 0.02  # normals in text have been rounded, often to two decimals
+_EXACT_INTEGERS = 2.0**53  # from here on a double cannot hold every integer
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a text file is laid out.
+
+    Attributes:
+        suffix: of the file, in lower case.
+        delimiter: what stands between two numbers.
+        header: ``""`` for none, ``"plain"`` for a line of names, or the comment marker that precedes the
+            names.
+        count_line: whether a line gives the number of points.
+        marker: what begins a comment.
+        spelling: the file's own names of columns, where they differ from those in the cloud.
+    """
+
+    suffix: str
+    delimiter: str = " "
+    header: str = ""
+    count_line: bool = False
+    marker: str = "#"
+    spelling: dict[str, str] = field(default_factory=dict)
+
+
+def read(path: Path) -> Cloud:
+    """Reads rows of numbers; see the module's text for what is understood.
+
+    Without names, the first three columns are the coordinates. The next three are normals if all have unit
+    length (NaN rows aside). The last three are colours if they are all that is left, or all but one, and hold
+    integers from 0 to 255. Any other is called ``column_4`` and so on, or ``intensity`` in a PTS file.
+
+    Raises:
+        InputError: if the file is empty or is no such text.
+    """
+    with _open(path) as stream:
+        preamble = read_preamble(stream, path)
+        if not preamble.columns and not preamble.names and preamble.count != 0:
+            raise InputError(f"{path}: holds no points; is this the right file?")
+        numbers, comments = _read_rows(stream, preamble, path)
+    if preamble.count not in (None, len(numbers[0])):
+        raise InputError(
+            f"{path}: declares {preamble.count} points but holds {len(numbers[0])}; is it truncated?"
+        )
+    names = preamble.names or _guess_names(numbers, path.suffix.lower())
+    spelling, columns = _name_columns(names, numbers, path)
+    comments = preamble.comments + comments
+    style = Style(
+        suffix=path.suffix.lower(),
+        delimiter=preamble.delimiter,
+        header=preamble.header,
+        count_line=preamble.count is not None,
+        marker=comments[0][0] if comments else "#",
+        spelling=spelling,
+    )
+    source = Source(format="xyz", encoding="ascii", comments=tuple(text for _, text in comments), extra=style)
+    return cloud_from_columns(columns, source, path)
+
+
+def _open(path: Path) -> BinaryIO:
+    stream = path.open("rb")
+    head = stream.read(1 << 16)
+    if not head or head.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in head:
+        stream.close()
+        problem = "is not plain text (UTF-8); export it again as such" if head else "is empty"
+        raise InputError(f"{path}: {problem}")
+    if b"\r" in head and b"\n" not in head:  # line ends of old Macintoshes
+        with stream:
+            return io.BytesIO((head + stream.read()).replace(b"\r", b"\n"))
+    stream.seek(3 if head.startswith(b"\xef\xbb\xbf") else 0)
+    return stream
+
+
+def _read_rows(
+    stream: BinaryIO, preamble: Preamble, path: Path
+) -> tuple[list[NDArray[Any]], list[tuple[str, str]]]:
+    """The columns of numbers, and the comments among them.
+
+    Comments and unusual numbers stop the fast parser; only then the text is cleaned and parsed again.
+    """
+    if not preamble.columns:
+        return [np.empty(0) for _ in preamble.names or COORDINATES], []
+    stream.seek(preamble.offset)
+    try:
+        return _parse(stream, preamble, path), []
+    except InputError:
+        stream.seek(preamble.offset)
+        text = stream.read()
+        cleaned, comments = _clean(text, preamble.delimiter)
+        if cleaned == text:
+            raise
+        return _parse(io.BytesIO(cleaned), preamble, path), comments
+
+
+def _parse(stream: BinaryIO, preamble: Preamble, path: Path) -> list[NDArray[Any]]:
+    """Columns of float64, or of int64 where only those hold the numbers (time stamps in nanoseconds)."""
+    read_rows = partial(
+        read_table,
+        path=path,
+        line=preamble.line,
+        columns=preamble.columns,
+        delimiter=preamble.delimiter if preamble.delimiter in ",;" else None,
+    )
+    start = stream.tell()
+    columns: list[NDArray[Any]] = list(read_rows(stream, np.dtype(np.float64)).T)
+    types = ["f8" if np.isnan(c).any() or np.abs(c).max() < _EXACT_INTEGERS else "i8" for c in columns]
+    if "i8" in types:
+        stream.seek(start)
+        with suppress(InputError):  # large numbers that are no integers
+            exact = read_rows(stream, np.dtype([(str(index), kind) for index, kind in enumerate(types)]))
+            columns = [exact[str(index)] for index in range(len(columns))]
+    return columns
+
+
+def _clean(text: bytes, delimiter: str) -> tuple[bytes, list[tuple[str, str]]]:
+    comments = re.findall(rb"(#|//)[ \t]?([^\r\n]*)", text)
+    text = re.sub(rb"[ \t]*(#|//)[^\r\n]*", b"", text)
+    text = re.sub(rb"(?<=[\d.])[dD](?=[-+\d])", b"e", text)
+    if delimiter == ";":
+        text = text.replace(b",", b".")
+    return text, [(marker.decode(), comment.decode("utf-8", "replace")) for marker, comment in comments]
+
+
+def _guess_names(columns: list[NDArray[Any]], suffix: str) -> list[str]:
+    names = list(COORDINATES)
+    if len(columns) >= 6 and _are_unit(np.stack(columns[3:6], axis=1)):
+        names += NORMALS
+    rest = len(columns) - len(names)
+    numbered = [f"column_{index}" for index in range(len(names) + 1, len(columns) + 1)]
+    if suffix == ".pts" and rest in (1, 4):
+        numbered[0] = "intensity"
+    if rest in (3, 4) and all(_are_bytes(column) for column in columns[-3:]):
+        numbered[-3:] = COLORS
+    return names + numbered
+
+
+def _are_unit(vectors: NDArray[np.float64]) -> bool:
+    known = vectors[~np.isnan(vectors).all(axis=1)]
+    return len(known) > 0 and bool((np.abs(np.linalg.norm(known, axis=1) - 1) < _UNIT_TOLERANCE).all())
+
+
+def _are_bytes(values: NDArray[Any]) -> bool:
+    return values.size > 0 and bool(((values >= 0) & (values <= 255) & (values == np.rint(values))).all())
+
+
+def _name_columns(
+    names: list[str], numbers: list[NDArray[Any]], path: Path
+) -> tuple[dict[str, str], Columns]:
+    """The columns under the names they have in a cloud, and the file's spelling of these."""
+    canonical = canonical_names(dict.fromkeys(names), path)
+    colors = {name: color for color in COLORS for name in names if name.lower() in (color, color[0])}
+    if len(colors) != 3 or len(set(colors.values())) != 3:
+        colors = {}
+    columns: Columns = {}
+    spelling = {}
+    for name, values in zip(names, numbers, strict=True):
+        known = canonical.get(name) or colors.get(name) or "_".join(name.split()) or "column"
+        key = unique_name(known, columns)
+        spelling[key] = name
+        if key in canonical.values():
+            columns[key] = values
+        elif key in colors.values() and _are_bytes(values):
+            columns[key] = values.astype(np.uint8)
+        else:
+            columns[key] = _as_integers(values)
+    return spelling, columns
+
+
+def _as_integers(values: NDArray[Any]) -> NDArray[Any]:
+    """A column without fractions as integers, so that labels and counts are written as such again."""
+    largest = np.abs(values).max(initial=0)
+    if not largest < _EXACT_INTEGERS or (values != np.rint(values)).any():
+        return values
+    return values.astype(np.int32 if largest < 2**31 else np.int64)
+
+
+def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list[str]:
+    """Writes rows of numbers, each in the shortest text that reads back to the same value.
+
+    A file read from the same suffix keeps its delimiter, names, count line and comments. New normals have the
+    precision of float32. CSV files always have a line of names; other new files have one, as a comment, only
+    if there are attributes, since strict readers of plain ``x y z nx ny nz`` rows stop at it.
+
+    Returns:
+        What could not be kept.
+    """
+    columns, warnings = columns_from_cloud(cloud, NORMALS, np.dtype(np.float32))
+    if cloud.source.format == "pcd":
+        columns = unpack_colors(columns)
+    columns, changed = to_storable(columns, _TYPES, vectors=False)
+    style = cloud.source.extra
+    if isinstance(style, Style) and style.suffix == suffix:
+        stream.writelines(_encode(f"{style.marker} {comment}".rstrip()) for comment in cloud.source.comments)
+    else:
+        warnings += ["comments are not kept"] if cloud.source.comments else []
+        has_attributes = not set(columns) <= {*COORDINATES, *NORMALS}
+        style = _new_style(suffix, has_attributes)
+    header = style.header or ("plain" if suffix == ".csv" else "")
+    if header:
+        names = style.delimiter.join(style.spelling.get(name, name) for name in columns)
+        stream.write(_encode(names if header == "plain" else f"{header} {names}"))
+    if style.count_line:
+        stream.write(_encode(str(len(cloud))))
+    for chunk in format_rows(list(columns.values()), style.delimiter):
+        stream.write(chunk)
+    return warnings + changed
+
+
+def _new_style(suffix: str, has_attributes: bool) -> Style:
+    if suffix == ".csv":
+        return Style(suffix, delimiter=",", header="plain")
+    if suffix == ".pts":
+        return Style(suffix, count_line=True)
+    return Style(suffix, header="#" if has_attributes else "")
+
+
+def _encode(line: str) -> bytes:
+    return line.encode("utf-8", "surrogateescape") + b"\n"
