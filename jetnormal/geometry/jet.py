@@ -1,0 +1,144 @@
+"""Weighted fits of an n-jet: the height of a surface over its tangent plane as a truncated Taylor expansion.
+
+    z = J(x, y) = sum_{k=0..n} sum_{j=0..k} beta_{k-j,j} x^(k-j) y^j          (Du et al., CVPR 2023, eq. 1)
+
+Cazals and Pouget, "Estimating differential quantities using polynomial fitting of osculating jets" (2005), show that
+the coefficients of degree k of an n-jet fitted to a patch of size h are off by O(h^(n-k+1)), the normal hence by O(h^n).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+MAX_ORDER = 4
+
+
+@lru_cache
+def exponents(order: int) -> tuple[tuple[int, int], ...]:
+    """The exponents (of x, of y) of the monomials of an n-jet, in the order of the paper's eq. 1."""
+    return tuple((k - j, j) for k in range(order + 1) for j in range(k + 1))
+
+
+@dataclass(frozen=True)
+class Jet:
+    """A batch of B fitted jets.
+
+    Attributes:
+        coefficients: (B, T) beta of each monomial of ``exponents(order)``, T = (order + 1)(order + 2) / 2.
+        order: n.
+    """
+
+    coefficients: Tensor
+    order: int
+
+    @property
+    def normal(self) -> Tensor:
+        """(B, 3) unit normals at the origin, on the side of positive z (the paper's eq. 2)."""
+        slope = self.coefficients[:, 1:3]
+        return torch.nn.functional.normalize(torch.cat([-slope, torch.ones_like(slope[:, :1])], 1), dim=1)
+
+    def heights(self, xy: Tensor) -> Tensor:
+        """(B, k) values J(x, y) at (B, k, 2)."""
+        return (monomials(xy, self.order) @ self.coefficients[:, :, None])[:, :, 0]
+
+    def normals_at(self, xy: Tensor) -> Tensor:
+        """(B, k, 3) unit normals (-J_x, -J_y, 1) / |.| of the fitted surface at (B, k, 2)."""
+        powers = [torch.ones_like(xy)]
+        for _ in range(self.order - 1):
+            powers.append(powers[-1] * xy)
+        slope_x: Tensor | float = 0.0
+        slope_y: Tensor | float = 0.0
+        for beta, (a, b) in zip(self.coefficients.unbind(1), exponents(self.order), strict=True):
+            if a:
+                slope_x = slope_x + a * beta[:, None] * powers[a - 1][..., 0] * powers[b][..., 1]
+            if b:
+                slope_y = slope_y + b * beta[:, None] * powers[a][..., 0] * powers[b - 1][..., 1]
+        assert isinstance(slope_x, Tensor) and isinstance(slope_y, Tensor)
+        return torch.nn.functional.normalize(torch.stack([-slope_x, -slope_y, torch.ones_like(slope_x)], 2), dim=2)
+
+    def curvatures(self) -> tuple[Tensor, Tensor]:
+        """Principal curvatures and directions at the origin.
+
+        A curvature is positive where the surface bends towards the normal (a bowl seen from inside), and is zero
+        for a jet of order 1. Its unit is the inverse of the unit of x, y and z.
+
+        Returns:
+            (B, 2) curvatures, the larger first, and (B, 2, 3) unit directions in the tangent plane.
+        """
+        beta = self.coefficients
+        if self.order == 1:
+            beta = torch.cat([beta, torch.zeros_like(beta)], dim=1)
+        fx, fy, fxx, fxy, fyy = beta[:, 1], beta[:, 2], 2 * beta[:, 3], beta[:, 4], 2 * beta[:, 5]
+        second = torch.stack([fxx, fxy, fxy, fyy], 1).view(-1, 2, 2) / (1 + fx**2 + fy**2).sqrt()[:, None, None]
+        # With L L^T the first fundamental form, L^-1 II L^-T is symmetric and has the shape operator's eigenvalues.
+        first = torch.stack([1 + fx**2, fx * fy, fx * fy, 1 + fy**2], 1).view(-1, 2, 2)
+        inverse = torch.linalg.inv(torch.linalg.cholesky(first))
+        values, vectors = torch.linalg.eigh(inverse @ second @ inverse.transpose(1, 2))
+        uv = (inverse.transpose(1, 2) @ vectors).transpose(1, 2).flip(1)  # (B, 2 directions, 2)
+        slope = torch.stack([fx, fy], 1)[:, None]
+        directions = torch.cat([uv, (uv * slope).sum(2, keepdim=True)], dim=2)
+        return values.flip(1), torch.nn.functional.normalize(directions, dim=2)
+
+
+def monomials(xy: Tensor, order: int) -> Tensor:
+    """(..., T) monomials of an n-jet at (..., 2) points."""
+    x, y = xy[..., 0], xy[..., 1]
+    columns = [torch.ones_like(x)]
+    for _ in range(order):  # each degree follows from the one before: times x, and the last one times y
+        degree = columns[-_triangle_row(len(columns)) :]
+        columns += [column * x for column in degree] + [degree[-1] * y]
+    return torch.stack(columns, dim=-1)
+
+
+def _triangle_row(count: int) -> int:
+    """Length of the last row of a triangle of ``count`` = 1, 3, 6, 10, ... entries."""
+    return int(((8 * count + 1) ** 0.5 - 1) / 2)
+
+
+def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Jet:
+    """Fits z = J(x, y) to each patch by weighted least squares: beta = (A^T W A)^-1 A^T W z.
+
+    x and y are divided by the patch's weighted mean |x|, |y| before the fit (it is undone in the result), and the normal
+    matrix is scaled to a unit diagonal. A tiny fixed ridge keeps degenerate patches (fewer points than
+    monomials, collinear or coincident points) solvable: they get the small solution among the best ones, and a patch
+    whose points all coincide gets the normal (0, 0, 1). Differentiable in points and weights.
+
+    Args:
+        points: (B, k, 3) float32 or float64, the query at the origin, z close to the normal.
+        weights: (B, k) non-negative, or None for ones.
+        order: n, 1 to 4.
+
+    Raises:
+        ValueError: if the order is out of range.
+    """
+    if not 1 <= order <= MAX_ORDER:
+        raise ValueError(f"the order of a jet is 1 to {MAX_ORDER}, not {order}")
+    if weights is None:
+        weights = torch.ones_like(points[..., 0])
+    xy, z = points[..., :2], points[..., 2]
+    total = weights.sum(1).clamp_min(torch.finfo(points.dtype).tiny)
+    scale = (weights[..., None] * xy.abs()).sum((1, 2)) / (2 * total)
+    scale = torch.where(scale > 1e-6, scale, torch.ones_like(scale))
+
+    design = monomials(xy / scale[:, None, None], order)  # (B, k, T)
+    weighted = (design * (weights / total[:, None])[..., None]).transpose(1, 2)  # (B, T, k)
+    beta = _solve(weighted @ design, weighted @ z[..., None])
+    degrees = torch.tensor([a + b for a, b in exponents(order)], device=points.device)
+    return Jet(beta / scale[:, None] ** degrees, order)
+
+
+def _solve(matrix: Tensor, right: Tensor) -> Tensor:
+    """Solves (B, T, T) positive semi-definite systems for (B, T, 1) right sides, in float64; (B, T)."""
+    ridge = 1e-6 if matrix.dtype == torch.float32 else 1e-13
+    matrix64, right64 = matrix.double(), right.double()
+    diagonal = matrix64.diagonal(dim1=1, dim2=2)
+    scale = diagonal.clamp_min(1e-30).rsqrt()
+    # a monomial that is zero all over the patch keeps its row; the ridge then sets its coefficient to zero
+    unit = matrix64 * scale[:, :, None] * scale[:, None, :]
+    unit = unit + ridge * torch.eye(matrix.shape[1], dtype=torch.float64, device=matrix.device)
+    solution = torch.cholesky_solve(right64 * scale[:, :, None], torch.linalg.cholesky_ex(unit)[0])
+    return (solution[..., 0] * scale).to(right.dtype)

@@ -1,0 +1,90 @@
+"""Patches: the k nearest neighbors of a query, in a frame of their own.
+
+A patch is centred on its query, divided by its radius and turned into the frame of its principal axes, so that a
+network or a jet sees the same thing wherever the patch lies, however large it is and however it is turned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Patches:
+    """A batch of B patches with k points each.
+
+    Attributes:
+        points: (B, k, 3) coordinates in the patch frame, inside the unit ball; the query is the origin and the
+            points keep the order of their neighbors (ascending distance).
+        frame: (B, 3, 3) rotations whose columns are the patch's principal axes in the cloud's coordinates, by
+            descending variance: ``patch = cloud @ frame`` and ``cloud = patch @ frame.T`` for row vectors.
+        radius: (B,) distance of the farthest neighbor, in the cloud's unit; 0 where all neighbors coincide.
+    """
+
+    points: Tensor
+    frame: Tensor
+    radius: Tensor
+
+    def to_cloud(self, vectors: Tensor) -> Tensor:
+        """Turns one vector per patch, (B, 3), from the patch frame into the cloud's frame."""
+        return torch.einsum("bij,bj->bi", self.frame.to(vectors.dtype), vectors)
+
+    def to_patch(self, vectors: Tensor) -> Tensor:
+        """Turns (B, k, 3) or (B, 3) vectors from the cloud's frame into the patch frame."""
+        return torch.einsum("b...i,bij->b...j", vectors, self.frame.to(vectors.dtype))
+
+
+def build_patches(
+    points: NDArray[np.float64],
+    queries: NDArray[np.int64],
+    neighbors: NDArray[np.int64],
+    dtype: torch.dtype = torch.float32,
+) -> Patches:
+    """Gathers patches and brings each into its own frame.
+
+    The query is subtracted in float64, so that georeferenced coordinates lose nothing; what follows needs no more
+    than ``dtype``.
+
+    Args:
+        points: (N, 3) the cloud.
+        queries: (B,) index of the query of each patch.
+        neighbors: (B, k) indices of its neighbors, by ascending distance.
+        dtype: type of the returned tensors.
+    """
+    offsets = torch.from_numpy(points[neighbors] - points[queries][:, None])  # (B, k, 3)
+    radius = offsets.square().sum(2).amax(1).sqrt()
+    unit = (offsets / radius.clamp_min(torch.finfo(torch.float64).tiny)[:, None, None]).to(dtype)
+    frame = principal_frame(unit)
+    return Patches(points=unit @ frame, frame=frame, radius=radius.to(dtype))
+
+
+def principal_frame(points: Tensor) -> Tensor:
+    """The principal axes of each patch as a proper rotation.
+
+    An axis is only known up to its sign. The signs are taken from the data, so that a turned patch gets a turned
+    frame: most of the patch lies at positive z, the third moment along x is positive, and y makes the frame
+    right-handed.
+
+    Args:
+        points: (B, k, 3) with the query at the origin.
+
+    Returns:
+        (B, 3, 3) axes as columns, by descending variance.
+    """
+    mean = points.mean(1, keepdim=True)
+    centred = points - mean
+    _, axes = torch.linalg.eigh(centred.transpose(1, 2) @ centred)  # ascending variance
+    x, z = axes[:, :, 2], axes[:, :, 0]
+    z = z * sign((mean[:, 0] * z).sum(1, keepdim=True))
+    x = x * sign(torch.einsum("bki,bi->bk", centred, x).pow(3).sum(1, keepdim=True))
+    return torch.stack([x, torch.linalg.cross(z, x), z], dim=2)
+
+
+def sign(values: Tensor) -> Tensor:
+    """+1 or -1, and +1 at zero."""
+    return torch.where(values < 0, -torch.ones_like(values), torch.ones_like(values))

@@ -1,0 +1,1 @@
+"""Networks: a batch of patches in, a prediction out."""

@@ -1,0 +1,108 @@
+"""Networks on disk: safetensors files that carry the configuration which rebuilds the network.
+
+Loading runs no code from the file: tensors and JSON text are all it holds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from jetnormal._resources import model_directory
+from jetnormal.errors import ModelError
+from jetnormal.formats.atomic import atomic_write
+from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
+
+FORMAT = "jetnormal-1"
+SUFFIX = ".safetensors"
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
+    """Writes tensors and a JSON description, atomically; an existing file is replaced.
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    from safetensors.torch import save
+
+    text = {"format": FORMAT, "description": json.dumps(metadata, sort_keys=True)}
+    content = save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata=text)
+    with atomic_write(path, overwrite=True) as stream:
+        stream.write(content)
+
+
+def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Reads what `save_tensors` wrote.
+
+    Raises:
+        ModelError: if the file is missing, damaged, or of another program.
+    """
+    if not path.is_file():
+        raise ModelError(f"{path}: no such model file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            text = file.metadata() or {}
+            if text.get("format") != FORMAT:
+                raise ModelError(f"{path}: not a model of jetnormal; train one with `jetnormal train`")
+            return {name: file.get_tensor(name) for name in file.keys()}, json.loads(text["description"])  # noqa: SIM118
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise ModelError(f"{path}: damaged or not a safetensors file ({error})") from error
+
+
+def save_model(path: Path, network: PatchFit, training: dict[str, Any]) -> None:
+    """Writes a network with its configuration and facts about its training.
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    metadata = {
+        "architecture": "patchfit",
+        "config": dataclasses.asdict(network.config),
+        "training": training,
+    }
+    save_tensors(path, network.state_dict(), metadata)
+
+
+def load_model(name: str | Path) -> PatchFit:
+    """Loads a packaged network by its name, or a network from a file, ready for inference on the CPU.
+
+    Raises:
+        ModelError: if there is no such model, or the file is damaged.
+    """
+    path = resolve(name)
+    tensors, metadata = load_tensors(path)
+    if metadata.get("architecture") != "patchfit":
+        raise ModelError(f"{path}: holds no network (architecture {metadata.get('architecture')!r})")
+    try:
+        network = PatchFit(PatchFitConfig(**metadata["config"]))
+        network.load_state_dict(tensors)
+    except (TypeError, KeyError, ValueError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise ModelError(f"{path}: its configuration and its weights do not fit ({reason})") from error
+    return network.for_inference()
+
+
+def resolve(name: str | Path) -> Path:
+    """The file of a packaged name (``deepfit``) or of a path.
+
+    Raises:
+        ModelError: if it is neither.
+    """
+    packaged = model_directory() / f"{name}{SUFFIX}"
+    if packaged.is_file():
+        return packaged
+    path = Path(name)
+    if path.is_file():
+        return path
+    known = ", ".join(packaged_names())
+    raise ModelError(f"{name}: neither a packaged model ({known}) nor a model file")
+
+
+def packaged_names() -> list[str]:
+    """Names of the packaged networks."""
+    return sorted(path.stem for path in model_directory().glob(f"*{SUFFIX}"))

@@ -1,0 +1,152 @@
+"""Layers that the networks share. Features are (..., channels): one row a point, so that a layer is one matrix product."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+
+class PointLayer(nn.Module):
+    """A linear map of each point's features, batch normalisation, activation: (..., C_in) to (..., C_out)."""
+
+    def __init__(self, inputs: int, outputs: int, activation: nn.Module | None = None) -> None:
+        super().__init__()
+        self.linear = nn.Linear(inputs, outputs)
+        self.norm: nn.Module = nn.BatchNorm1d(outputs)
+        self.activation = activation or nn.Identity()
+
+    def forward(self, features: Tensor) -> Tensor:
+        return self.finish(self.linear(features))
+
+    def finish(self, products: Tensor) -> Tensor:
+        """Normalises and activates what the linear map gave."""
+        rows = self.norm(products.flatten(0, -2))
+        return self.activation(rows).view(products.shape)
+
+    def fold(self) -> None:
+        """Moves the normalisation into the linear map: the same function in evaluation mode, in one step."""
+        if isinstance(self.norm, nn.BatchNorm1d):
+            norm, linear = self.norm, self.linear
+            assert norm.running_mean is not None and norm.running_var is not None
+            with torch.no_grad():
+                gain = norm.weight * (norm.running_var + norm.eps).rsqrt()
+                linear.weight *= gain[:, None]
+                linear.bias.copy_((linear.bias - norm.running_mean) * gain + norm.bias)
+            self.norm = nn.Identity()
+
+    def split(self, shared: Tensor, features: Tensor) -> Tensor:
+        """The layer on ``cat([shared, features])`` without building it.
+
+        A row of ``shared``, (B, C_shared), belongs to all k points of ``features``, (B, k, C): its part of the
+        product is computed once instead of k times. The result is the same up to rounding.
+        """
+        ours, theirs = self.linear.weight.split([shared.shape[-1], features.shape[-1]], dim=1)
+        once = nn.functional.linear(shared, ours, self.linear.bias)
+        return self.finish(nn.functional.linear(features, theirs) + once[:, None])
+
+
+def full_precision(tensor: Tensor) -> torch.autocast:
+    """Switches automatic mixed precision off for what must not run in half precision: `with full_precision(x): ...`"""
+    return torch.autocast(tensor.device.type, enabled=False)
+
+
+def point_layers(widths: Sequence[int], slope: float = 0.0) -> nn.Sequential:
+    """A chain of point layers through the given widths, each with a (leaky) ReLU."""
+    pairs = zip(widths[:-1], widths[1:], strict=True)
+    return nn.Sequential(*(PointLayer(a, b, nn.LeakyReLU(slope) if slope else nn.ReLU()) for a, b in pairs))
+
+
+def gather(features: Tensor, indices: Tensor) -> Tensor:
+    """Rows of (B, n, C) features at (B, ...) indices: (B, ..., C)."""
+    count, channels = features.shape[1:]
+    first = torch.arange(features.shape[0], device=features.device) * count
+    rows = indices + first.view(-1, *[1] * (indices.dim() - 1))
+    return features.reshape(-1, channels).index_select(0, rows.flatten()).view(*indices.shape, channels)
+
+
+def nearest(points: Tensor, queries: Tensor, k: int) -> Tensor:
+    """Indices, (B, m, k), of the k nearest of (B, n, C) ``points`` to each of (B, m, C) ``queries``.
+
+    Distances in any number of channels, the query itself included where it is among the points.
+    """
+    with torch.no_grad(), full_precision(points):
+        points, queries = points.float(), queries.float()
+        # |p - q|^2 up to |q|^2, which does not change the order
+        score = torch.baddbmm(points.square().sum(2)[:, None], queries, points.transpose(1, 2), alpha=-2)
+        return score.topk(min(k, points.shape[1]), dim=2, largest=False, sorted=False).indices
+
+
+class EdgeConv(nn.Module):
+    """Edge convolution over a k-nearest-neighbor graph in feature space (Wang et al., DGCNN, 2019).
+
+    An edge carries [centre - neighbor, centre]; three maps, the first two with batch normalisation and LeakyReLU(0.2),
+    then the maximum over the neighbors. Every point is its own neighbor.
+    """
+
+    def __init__(self, inputs: int, outputs: int, k: int = 8) -> None:
+        super().__init__()
+        self.k = k
+        half = outputs // 2
+        self.first = PointLayer(2 * inputs, half, nn.LeakyReLU(0.2))
+        self.second = PointLayer(half, half, nn.LeakyReLU(0.2))
+        self.last = nn.Linear(half, outputs)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, n, C_in) to (B, n, C_out)."""
+        neighbors = nearest(features, features, self.k)
+        # W [c - n, c] = (W1 + W2) c - W1 n: one product a point instead of one an edge
+        on_offset, on_centre = self.first.linear.weight.chunk(2, dim=1)
+        centre = nn.functional.linear(features, on_offset + on_centre, self.first.linear.bias)
+        neighbor = nn.functional.linear(features, on_offset)
+        edges = self.first.finish(centre[:, :, None] - gather(neighbor, neighbors))
+        return self.last(self.second(edges)).max(2).values
+
+
+class AdaptivePooling(nn.Module):
+    """Adaptive graph pooling (AdaGP; Yan et al., FBNet, 2022): fewer points, each an attentive mean of 8 neighbors.
+
+    Per channel, softmax over the neighbors of attention(query - feature + position) weighs feature + position.
+    The points kept are a farthest point sampling or, at a fraction of its cost, every n-th by distance from the query.
+    """
+
+    def __init__(self, channels: int, points: int, k: int = 8, farthest: bool = True) -> None:
+        super().__init__()
+        self.points = points
+        self.k = k
+        self.farthest = farthest
+        narrow = channels // 4
+        self.position = nn.Sequential(PointLayer(3, narrow, nn.LeakyReLU(0.2)), nn.Linear(narrow, channels))
+        self.attention = nn.Sequential(PointLayer(channels, narrow, nn.LeakyReLU(0.2)), nn.Linear(narrow, channels))
+
+    def forward(self, points: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, n, 3) and (B, n, C) to (B, m, 3) and (B, m, C); the query, index 0, stays at index 0."""
+        count = min(self.points, points.shape[1])
+        kept = farthest_points(points, count) if self.farthest else every_nth(points, count)
+        centres = gather(points, kept)
+        neighbors = nearest(points, centres, self.k)
+        position = self.position(centres[:, :, None] - gather(points, neighbors))
+        feature = gather(features, neighbors)
+        attention = self.attention(gather(features, kept)[:, :, None] - feature + position)
+        return centres, (attention.softmax(2) * (feature + position)).sum(2)
+
+
+def farthest_points(points: Tensor, count: int) -> Tensor:
+    """Farthest point sampling that starts at index 0: (B, count) indices of (B, n, 3) points, index 0 first."""
+    with torch.no_grad(), full_precision(points):
+        points = points.float()
+        batch = torch.arange(points.shape[0], device=points.device)
+        kept = torch.zeros(points.shape[0], count, dtype=torch.int64, device=points.device)
+        distance = (points - points[:, :1]).square().sum(2)
+        for i in range(1, count):
+            kept[:, i] = distance.argmax(1)
+            newest = points[batch, kept[:, i]]
+            distance = torch.minimum(distance, (points - newest[:, None]).square().sum(2))
+        return kept
+
+
+def every_nth(points: Tensor, count: int) -> Tensor:
+    """(B, count) indices of (B, n, 3) points at equal steps from index 0 on."""
+    steps = torch.arange(count, device=points.device) * points.shape[1] // count
+    return steps.expand(points.shape[0], count)

@@ -1,0 +1,144 @@
+"""PatchFit: transform, weights, jet, correction (Du et al., CVPR 2023, fig. 3), assembled from a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor, nn
+
+from jetnormal.geometry.jet import Jet, fit_jet
+from jetnormal.networks.correction import NormalError
+from jetnormal.networks.deepfit import DeepFit
+from jetnormal.networks.layers import PointLayer, full_precision
+from jetnormal.networks.ztransform import QSTN, ZTransform, rotation_to_z
+
+
+@dataclass(frozen=True)
+class PatchFitConfig:
+    """What rebuilds a PatchFit network.
+
+    Attributes:
+        neighbors: points in a patch.
+        order: order of the jet, 1 to 4.
+        transform: "ztransform" (the paper's) or "qstn" (the baseline's).
+        correction: whether the normal error estimation follows the fit.
+        width: factor on every channel count.
+        feature_transform: whether the weight predictor has PointNet's feature transform.
+        light: whether the z-direction transform is its light form.
+    """
+
+    neighbors: int = 256
+    order: int = 3
+    transform: str = "ztransform"
+    correction: bool = True
+    width: float = 1.0
+    feature_transform: bool = True
+    light: bool = False
+
+
+CONFIGS = {
+    # As published: 3,734,468 parameters.
+    "paper": PatchFitConfig(),
+    # What two CPU cores train in an hour or two.
+    "small": PatchFitConfig(width=0.25, feature_transform=False, light=True),
+}
+
+
+@dataclass(frozen=True)
+class PatchPrediction:
+    """What the network says of B patches; normals are unit vectors in the patch frame, their signs arbitrary.
+
+    Attributes:
+        rotation: (B, 3, 3) z-direction transform, ``points @ rotation`` has the normal near z.
+        weights: (B, k) of the fit.
+        jet: the fit, in the rotated frame.
+        rough: (B, 3) normals of the fit.
+        refined: (B, 3) corrected normals; the rough ones without a correction.
+        rough_neighbors, refined_neighbors: (B, k, 3) normals at the neighbors, if asked for.
+        feature_transform: (B, F, F) matrices or None.
+    """
+
+    rotation: Tensor
+    weights: Tensor
+    jet: Jet
+    rough: Tensor
+    refined: Tensor
+    rough_neighbors: Tensor | None
+    refined_neighbors: Tensor | None
+    feature_transform: Tensor | None
+
+
+class PatchFit(nn.Module):
+    """A patch network: rotate the patch, weigh its points, fit a jet, correct its normal."""
+
+    def __init__(self, config: PatchFitConfig) -> None:
+        super().__init__()
+        self.config = config
+        transforms = {
+            "ztransform": lambda: ZTransform(config.width, config.light),
+            "qstn": lambda: QSTN(config.width),
+        }
+        self.transform = transforms[config.transform]()
+        self.weights = DeepFit(config.width, config.feature_transform)
+        self.correction = NormalError(self.weights.channels) if config.correction else None
+
+    def forward(self, points: Tensor, iterations: int = 1, neighbors: bool = False) -> PatchPrediction:
+        """Predicts the normals of patches.
+
+        Args:
+            points: (B, k, 3) patches in their own frame (``geometry.patches``).
+            iterations: from the second on, the normal found replaces the learned transform: the patch is turned until
+                it meets z, and weights, fit and correction run again (the paper's iterative estimation).
+            neighbors: whether to predict the neighbors' normals too, for training.
+        """
+        prediction = self._fit(points, self.transform(points), neighbors)
+        for _ in range(iterations - 1):
+            prediction = self._fit(points, rotation_to_z(prediction.refined), neighbors)
+        return prediction
+
+    def _fit(self, points: Tensor, rotation: Tensor, neighbors: bool) -> PatchPrediction:
+        with full_precision(points):
+            turned = points @ rotation
+        weighting = self.weights(turned)
+        with full_precision(points):
+            jet = fit_jet(turned, weighting.weights, self.config.order)
+        rough = refined = jet.normal
+        rough_neighbors = refined_neighbors = None
+        if self.correction is not None:
+            refined = self.correction(weighting.features, rough)
+        if neighbors:
+            rough_neighbors = refined_neighbors = jet.normals_at(turned[..., :2])
+            if self.correction is not None:
+                refined_neighbors = self.correction.neighbors(weighting.features, rough_neighbors)
+        return PatchPrediction(
+            rotation=rotation,
+            weights=weighting.weights,
+            jet=jet,
+            rough=_turned_back(rough[:, None], rotation)[:, 0],
+            refined=_turned_back(refined[:, None], rotation)[:, 0],
+            rough_neighbors=_turned_back(rough_neighbors, rotation),
+            refined_neighbors=_turned_back(refined_neighbors, rotation),
+            feature_transform=weighting.feature_transform,
+        )
+
+    def for_inference(self) -> PatchFit:
+        """Evaluation mode, without gradients, batch normalisation folded into the linear maps. Returns itself."""
+        self.eval().requires_grad_(False)
+        for module in self.modules():
+            if isinstance(module, PointLayer):
+                module.fold()
+        return self
+
+
+def _turned_back(normals: Any, rotation: Tensor) -> Any:
+    """(B, n, 3) normals of the rotated frame in the patch frame; None stays None."""
+    if normals is None:
+        return None
+    with full_precision(rotation):
+        return normals @ rotation.transpose(1, 2)
+
+
+def parameter_count(module: nn.Module) -> int:
+    """Number of trainable values."""
+    return sum(p.numel() for p in module.parameters() if p.requires_grad)

@@ -1,0 +1,191 @@
+"""The training loop: Adam over batches of patches, resumable at any step."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from jetnormal.errors import ModelError, UsageError
+from jetnormal.geometry.metrics import angles, rmse
+from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.networks.patchfit import PatchFit, PatchFitConfig, parameter_count
+from jetnormal.report import logger, progress
+from jetnormal.training.batches import Batch, PatchSampler, labeled_patches
+from jetnormal.training.datasets import DataSource
+from jetnormal.training.losses import LossWeights, total_loss
+from jetnormal.training.run import Run
+
+MAX_GRADIENT = 1.0  # norm; a patch whose fit is nearly singular may ask for far more
+DROPS = (300 / 700, 550 / 700)  # the paper's schedule: a tenth of the rate after these shares of the epochs
+HELD_OUT_EPOCH = 1_000_000  # no training reaches it, so its clouds are new
+VALIDATION_QUERIES = 250  # per cloud
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """How to train; the defaults are the paper's.
+
+    Attributes:
+        epochs: passes over `patches_per_cloud` patches of each cloud.
+        batch_size: patches in a batch.
+        learning_rate: Adam's, at the start.
+        schedule: "step" (the paper's: a tenth after 300/700 and 550/700 of the epochs) or "cosine" (to zero).
+        patches_per_cloud: queries drawn from each cloud in an epoch.
+        seed: of the data, their order and the initial weights.
+        device: "cpu", "cuda" or "cuda:N".
+        bfloat16: whether matrix products run in bfloat16 (the jet never does).
+        losses: factors of the loss terms.
+    """
+
+    epochs: int = 700
+    batch_size: int = 256
+    learning_rate: float = 1e-3
+    schedule: str = "step"
+    patches_per_cloud: int = 1000
+    seed: int = 1
+    device: str = "cpu"
+    bfloat16: bool = False
+    losses: LossWeights = dataclasses.field(default_factory=LossWeights)
+
+
+def train(
+    config: PatchFitConfig,
+    source: DataSource,
+    folder: Path,
+    options: TrainOptions,
+    *,
+    validation: DataSource | None = None,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """Trains a network and leaves it in a folder (see `training.run`).
+
+    The same arguments give the same network, interrupted and resumed or not, on the same machine with the same
+    number of threads.
+
+    Args:
+        config: of the network.
+        source: of the training clouds.
+        folder: of the run.
+        options: how to train.
+        validation: clouds to validate on after each epoch; None takes held-out clouds of `source`.
+        resume: whether to go on from the last saved state in `folder`.
+
+    Returns:
+        model (the file), parameters, epochs, patches, seconds, loss terms and validation errors of the last epoch.
+
+    Raises:
+        InputError: if the folder holds another run, or nothing to resume, or a cloud cannot be used.
+        UsageError: if the run to resume began with other options, or an epoch has less than one batch.
+        ModelError: if the loss is no longer a number.
+    """
+    torch.manual_seed(options.seed)
+    network = PatchFit(config).to(options.device)
+    optimizer = torch.optim.Adam(network.parameters(), lr=options.learning_rate, weight_decay=1e-7)
+    facts = {"config": dataclasses.asdict(config), "options": dataclasses.asdict(options)}
+    run = Run(folder, json.loads(json.dumps(facts)), network, optimizer)
+    sampler = PatchSampler(source, config.neighbors, options.patches_per_cloud, options.batch_size, options.seed)
+    if sampler.batches_per_epoch == 0:
+        raise UsageError("an epoch has fewer patches than a batch: lower --batch-size or train on more clouds")
+    held_out = _validation_batches(validation or source, config.neighbors, options.seed)
+    if resume:
+        run.resume()
+    else:
+        run.begin()
+    logger.info("training %s parameters", f"{parameter_count(network):,}")
+
+    row: dict[str, float] = {}
+    while run.position.epoch < options.epochs:
+        terms = _train_epoch(run, sampler, options)
+        row = {"epoch": run.position.epoch, "patches": run.position.patches, "seconds": run.position.seconds}
+        row |= terms | validate(network, held_out)
+        run.record(row)
+        run.save()
+        logger.info("epoch %d of %d: loss %.4f, validation RMSE %.2f degrees", row["epoch"], options.epochs,
+                    row["loss"], row["rmse"])  # fmt: skip
+    return {"model": str(run.model_path), "parameters": parameter_count(network)} | row
+
+
+def _train_epoch(run: Run, sampler: PatchSampler, options: TrainOptions) -> dict[str, float]:
+    """One epoch, or what is left of it; the means of its loss terms."""
+    run.network.train()
+    position = run.position
+    total = sampler.batches_per_epoch
+    description = f"epoch {position.epoch + 1} of {options.epochs}"
+    with progress(description, (total - position.batch) * options.batch_size, unit="patches") as advance:
+        start = time.monotonic()
+        for batch in sampler.epoch(position.epoch, first=position.batch):
+            share = (position.epoch + position.batch / total) / options.epochs
+            terms = _step(run, batch, learning_rate(share, options), options)
+            for name, value in terms.items():
+                position.totals[name] = position.totals.get(name, 0.0) + value
+            position.batch += 1
+            position.patches += options.batch_size
+            position.seconds += time.monotonic() - start
+            start = time.monotonic()
+            advance(options.batch_size)
+            run.save_if_due()
+    means = {name: value / position.batch for name, value in position.totals.items()}
+    position.epoch, position.batch, position.totals = position.epoch + 1, 0, {}
+    return means
+
+
+def _step(run: Run, batch: Batch, rate: float, options: TrainOptions) -> dict[str, float]:
+    """One step of the optimizer; the values of the loss terms before it."""
+    for group in run.optimizer.param_groups:
+        group["lr"] = rate
+    points, normals = batch.points.to(options.device), batch.normals.to(options.device)
+    with torch.autocast(points.device.type, torch.bfloat16, enabled=options.bfloat16):
+        prediction = run.network(points, neighbors=True)
+    terms = total_loss(prediction, normals, options.losses)
+    if not torch.isfinite(terms["loss"]):
+        raise ModelError(
+            f"the loss is {terms['loss'].item()} after {run.position.patches:,} patches; "
+            f"lower --learning-rate (the state saved last in {run.folder} is sound)"
+        )
+    run.optimizer.zero_grad(set_to_none=True)
+    terms["loss"].backward()
+    torch.nn.utils.clip_grad_norm_(run.network.parameters(), MAX_GRADIENT)
+    run.optimizer.step()
+    return {name: value.item() for name, value in terms.items()}
+
+
+def learning_rate(share: float, options: TrainOptions) -> float:
+    """The rate after a share, in [0, 1), of the training."""
+    if options.schedule == "cosine":
+        return options.learning_rate * (1 + math.cos(math.pi * share)) / 2
+    return options.learning_rate * 0.1 ** sum(share >= drop for drop in DROPS)
+
+
+def validate(network: PatchFit, batches: list[Batch]) -> dict[str, float]:
+    """RMSE in degrees of the refined, the rough and the z-direction normals over all patches."""
+    device = next(network.parameters()).device
+    found: dict[str, list[np.ndarray]] = {"rmse": [], "rmse_rough": [], "rmse_z": []}
+    network.eval()
+    with torch.inference_mode():
+        for batch in batches:
+            prediction = network(batch.points.to(device))
+            true = batch.normals[:, 0].numpy()
+            directions = (prediction.refined, prediction.rough, prediction.rotation[:, :, 2])
+            for errors, normals in zip(found.values(), directions, strict=True):
+                errors.append(angles(normals.cpu().numpy(), true))
+    return {name: rmse(np.concatenate(errors)) for name, errors in found.items()}
+
+
+def _validation_batches(source: DataSource, neighbors: int, seed: int) -> list[Batch]:
+    """One batch of patches from each held-out cloud of a source."""
+    batches = []
+    for number in range(source.clouds_per_epoch):
+        cloud = source.cloud(HELD_OUT_EPOCH, number, seed)
+        candidates = np.arange(len(cloud.points)) if cloud.queries is None else cloud.queries
+        rng = np.random.default_rng([seed, number])
+        queries = rng.choice(candidates, min(VALIDATION_QUERIES, len(candidates)), replace=False)
+        batches.append(labeled_patches(cloud, NeighborIndex(cloud.points), queries, neighbors))
+    return batches

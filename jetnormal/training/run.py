@@ -1,0 +1,164 @@
+"""A training run on disk, and what it takes to go on with it.
+
+    RUN/model.safetensors      the network so far, usable with `jetnormal estimate --model`
+    RUN/state.safetensors      all that a resumed run needs
+    RUN/metrics.csv            one row an epoch
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from jetnormal.errors import InputError, UsageError
+from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
+from jetnormal.networks.patchfit import PatchFit
+
+SAVE_INTERVAL = 45.0  # seconds: what a killed run loses at most
+
+
+@dataclass
+class Position:
+    """Where a run stands.
+
+    Attributes:
+        epoch: epochs completed.
+        batch: batches of the next epoch that are done.
+        patches: trained on so far.
+        seconds: spent so far.
+        totals: sums of the loss terms over the batches of the epoch under way.
+    """
+
+    epoch: int = 0
+    batch: int = 0
+    patches: int = 0
+    seconds: float = 0.0
+    totals: dict[str, float] = field(default_factory=dict)
+
+
+class Run:
+    """A network, its optimizer and its position, tied to a folder.
+
+    Args:
+        folder: of the run, created if need be.
+        facts: the network's configuration and the options that decide the result; a run is only resumed with the
+            same facts.
+        network: to be trained.
+        optimizer: of the network's parameters.
+    """
+
+    def __init__(
+        self, folder: Path, facts: dict[str, Any], network: PatchFit, optimizer: torch.optim.Optimizer
+    ) -> None:
+        self.folder = folder
+        self.facts = facts
+        self.network = network
+        self.optimizer = optimizer
+        self.position = Position()
+        self._saved = time.monotonic()
+
+    @property
+    def model_path(self) -> Path:
+        return self.folder / "model.safetensors"
+
+    @property
+    def _state_path(self) -> Path:
+        return self.folder / "state.safetensors"
+
+    @property
+    def _metrics_path(self) -> Path:
+        return self.folder / "metrics.csv"
+
+    def begin(self) -> None:
+        """Prepares the folder for a new run.
+
+        Raises:
+            InputError: if it holds a run already or cannot be created.
+        """
+        if self._state_path.exists():
+            raise InputError(f"{self.folder}: holds a run already; go on with --resume or choose another --out")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{self.folder}: cannot be created ({error.strerror}); choose another --out") from error
+        self._metrics_path.unlink(missing_ok=True)
+
+    def resume(self) -> None:
+        """Goes back to the last saved state.
+
+        Raises:
+            InputError: if there is none.
+            ModelError: if it is damaged.
+            UsageError: if the run began with other options.
+        """
+        if not self._state_path.is_file():
+            raise InputError(f"{self.folder}: there is no run to resume; leave --resume out to start one")
+        tensors, description = load_tensors(self._state_path)
+        changed = _differences(description["facts"], self.facts)
+        if changed:
+            raise UsageError(f"{self.folder}: the run began with other options ({', '.join(changed)})")
+        self.position = Position(**description["position"])
+        self.network.load_state_dict(_part(tensors, "network."))
+        self._restore_optimizer(tensors)
+        self._drop_metrics_after(self.position.epoch)
+
+    def save_if_due(self) -> None:
+        """Saves if the last save is more than SAVE_INTERVAL ago."""
+        if time.monotonic() - self._saved > SAVE_INTERVAL:
+            self.save()
+
+    def save(self) -> None:
+        """Writes the state, and the network on its own, each atomically."""
+        tensors = {f"network.{name}": value for name, value in self.network.state_dict().items()}
+        for index, values in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{index}.{name}": value for name, value in values.items()}
+        description = {"facts": self.facts, "position": dataclasses.asdict(self.position)}
+        save_tensors(self._state_path, tensors, description)
+        training = self.facts | {"patches": self.position.patches, "seconds": round(self.position.seconds)}
+        save_model(self.model_path, self.network, training)
+        self._saved = time.monotonic()
+
+    def record(self, row: dict[str, float]) -> None:
+        """Appends an epoch's metrics to the table."""
+        new = not self._metrics_path.exists()
+        with self._metrics_path.open("a", newline="") as stream:
+            writer = csv.DictWriter(stream, row)
+            if new:
+                writer.writeheader()
+            writer.writerow({name: f"{value:.6g}" for name, value in row.items()})
+
+    def _restore_optimizer(self, tensors: dict[str, Tensor]) -> None:
+        state: dict[int, dict[str, Tensor]] = {}
+        for name, value in _part(tensors, "optimizer.").items():
+            index, key = name.split(".", 1)
+            state.setdefault(int(index), {})[key] = value
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": state, "param_groups": groups})
+
+    def _drop_metrics_after(self, epoch: int) -> None:
+        """Removes the rows of epochs that the resumed run will do again."""
+        if self._metrics_path.exists():
+            header, *rows = self._metrics_path.read_text().splitlines()
+            kept = [row for row in rows if float(row.split(",", 1)[0]) <= epoch]
+            self._metrics_path.write_text("\n".join([header, *kept]) + "\n")
+
+
+def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """The tensors whose names start with the prefix, without it."""
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
+def _differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Names of the entries, one level deep, that differ."""
+    names = []
+    for group in before.keys() | now.keys():
+        old, new = before.get(group, {}), now.get(group, {})
+        names += [f"{key} was {old.get(key)}" for key in old.keys() | new.keys() if old.get(key) != new.get(key)]
+    return sorted(names)
