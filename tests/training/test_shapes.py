@@ -101,6 +101,15 @@ def test_zones_of_an_ellipsoid_get_their_share():
     assert (points[:, 2] > 0.5).mean() == pytest.approx(expected, abs=0.008)
 
 
+@pytest.mark.parametrize("name", ["cylinder", "rounded cylinder"])
+def test_caps_are_uniform_discs(name):
+    points, normals = PRIMITIVES[name][0].sample(40_000, np.random.default_rng(0))
+    for side in (-1, 1):
+        cap = points[normals[:, 2] * side > 1 - 1e-12]
+        rho = np.hypot(cap[:, 0], cap[:, 1])
+        assert (rho < 0.25).mean() == pytest.approx(0.25, abs=0.02)  # half of the radius, a quarter of the disc
+
+
 def test_cut_turns_the_normals_of_the_hole():
     ball = RoundedBox([0, 0, 0], 0.5)
     solid = Solid([Part(RoundedBox([1, 1, 1])), Part(ball, "difference", np.array([0, 0, 1.0]))])
