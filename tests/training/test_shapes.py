@@ -75,9 +75,7 @@ def test_points_are_uniform_over_the_surface(primitive):
     # Divided by the gradient's length, the implicit function is the distance to first order.
     step = 1e-5
     near = cloud[np.abs(primitive.implicit(cloud)) < 0.05]
-    slope = np.stack(
-        [primitive.implicit(near + step * e) - primitive.implicit(near - step * e) for e in np.eye(3)]
-    )
+    slope = np.stack([primitive.implicit(near + step * e) - primitive.implicit(near - step * e) for e in np.eye(3)])
     distance = primitive.implicit(near) / np.linalg.norm(slope / (2 * step), axis=0)
     layer = near[np.abs(distance) < 0.006]
     direction = np.random.default_rng(2).normal(size=3)
