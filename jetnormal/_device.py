@@ -1,0 +1,31 @@
+"""Where networks run: the one place that turns a user's choice of a device into one that is there."""
+
+from __future__ import annotations
+
+import re
+
+from jetnormal.errors import ResourceError, UsageError
+
+
+def resolve_device(text: str) -> str:
+    """The device that a user asked for, in PyTorch's words.
+
+    Args:
+        text: "auto" (the first CUDA device, else the CPU), "cpu", "cuda" or "cuda:N".
+
+    Raises:
+        UsageError: the text is none of these.
+        ResourceError: there is no such CUDA device.
+    """
+    if not re.fullmatch(r"auto|cpu|cuda(:\d+)?", text):
+        raise UsageError(f"{text!r} is no device: give auto, cpu, cuda or cuda:N")
+    if text == "cpu":
+        return text
+    import torch
+
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if text == "auto":
+        return "cuda" if count else "cpu"
+    if int(text.partition(":")[2] or 0) >= count:
+        raise ResourceError(f"there is no device {text}, only {count} CUDA devices; give --device cpu or auto")
+    return text
