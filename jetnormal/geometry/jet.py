@@ -3,7 +3,7 @@
     z = J(x, y) = sum_{k=0..n} sum_{j=0..k} beta_{k-j,j} x^(k-j) y^j          (Du et al., CVPR 2023, eq. 1)
 
 Cazals and Pouget, "Estimating differential quantities using polynomial fitting of osculating jets" (2005), show that
-the coefficients of degree k of an n-jet fitted to a patch of size h are off by O(h^(n-k+1)), the normal hence by O(h^n).
+the coefficients of degree k of an n-jet fitted to a patch of size h are off by O(h^(n-k+1)), so the normal by O(h^n).
 """
 
 from __future__ import annotations
@@ -102,10 +102,10 @@ def _triangle_row(count: int) -> int:
 def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Jet:
     """Fits z = J(x, y) to each patch by weighted least squares: beta = (A^T W A)^-1 A^T W z.
 
-    x and y are divided by the patch's weighted mean |x|, |y| before the fit (it is undone in the result), and the normal
-    matrix is scaled to a unit diagonal. A tiny fixed ridge keeps degenerate patches (fewer points than
-    monomials, collinear or coincident points) solvable: they get the small solution among the best ones, and a patch
-    whose points all coincide gets the normal (0, 0, 1). Differentiable in points and weights.
+    x and y are divided by the patch's weighted mean |x|, |y| before the fit (it is undone in the result), and the
+    normal matrix is built and solved in float64, scaled to a unit diagonal. A tiny fixed ridge keeps degenerate patches
+    (fewer points than monomials, collinear or coincident points) solvable: they get the small solution among the best
+    ones, and a patch whose points all coincide gets the normal (0, 0, 1). Differentiable in points and weights.
 
     Args:
         points: (B, k, 3) float32 or float64, the query at the origin, z close to the normal.
@@ -124,21 +124,20 @@ def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Je
     scale = (weights[..., None] * xy.abs()).sum((1, 2)) / (2 * total)
     scale = torch.where(scale > 1e-6, scale, torch.ones_like(scale))
 
-    design = monomials(xy / scale[:, None, None], order)  # (B, k, T)
+    # in float32 the rounding of the products outweighs the ridge: a patch of two scan lines would have no Cholesky factor
+    design = monomials((xy / scale[:, None, None]).double(), order)  # (B, k, T)
     weighted = (design * (weights / total[:, None])[..., None]).transpose(1, 2)  # (B, T, k)
-    beta = _solve(weighted @ design, weighted @ z[..., None])
+    ridge = 1e-6 if points.dtype == torch.float32 else 1e-13
+    beta = _solve(weighted @ design, weighted @ z[..., None].double(), ridge).to(points.dtype)
     degrees = torch.tensor([a + b for a, b in exponents(order)], device=points.device)
     return Jet(beta / scale[:, None] ** degrees, order)
 
 
-def _solve(matrix: Tensor, right: Tensor) -> Tensor:
-    """Solves (B, T, T) positive semi-definite systems for (B, T, 1) right sides, in float64; (B, T)."""
-    ridge = 1e-6 if matrix.dtype == torch.float32 else 1e-13
-    matrix64, right64 = matrix.double(), right.double()
-    diagonal = matrix64.diagonal(dim1=1, dim2=2)
-    scale = diagonal.clamp_min(1e-30).rsqrt()
+def _solve(matrix: Tensor, right: Tensor, ridge: float) -> Tensor:
+    """Solves (B, T, T) positive semi-definite systems for (B, T, 1) right sides; (B, T)."""
+    scale = matrix.diagonal(dim1=1, dim2=2).clamp_min(1e-30).rsqrt()
     # a monomial that is zero all over the patch keeps its row; the ridge then sets its coefficient to zero
-    unit = matrix64 * scale[:, :, None] * scale[:, None, :]
-    unit = unit + ridge * torch.eye(matrix.shape[1], dtype=torch.float64, device=matrix.device)
-    solution = torch.cholesky_solve(right64 * scale[:, :, None], torch.linalg.cholesky_ex(unit)[0])
-    return (solution[..., 0] * scale).to(right.dtype)
+    unit = matrix * scale[:, :, None] * scale[:, None, :]
+    unit = unit + ridge * torch.eye(matrix.shape[1], dtype=matrix.dtype, device=matrix.device)
+    solution = torch.cholesky_solve(right * scale[:, :, None], torch.linalg.cholesky_ex(unit)[0])
+    return solution[..., 0] * scale
