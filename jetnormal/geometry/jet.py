@@ -28,7 +28,7 @@ class Jet:
     """A batch of B fitted jets.
 
     Attributes:
-        coefficients: (B, T) beta of each monomial of ``exponents(order)``, T = (order + 1)(order + 2) / 2.
+        coefficients: (B, T) beta of each monomial of `exponents(order)`, T = (order + 1)(order + 2) / 2.
         order: n.
     """
 
@@ -95,7 +95,7 @@ def monomials(xy: Tensor, order: int) -> Tensor:
 
 
 def _triangle_row(count: int) -> int:
-    """Length of the last row of a triangle of ``count`` = 1, 3, 6, 10, ... entries."""
+    """Length of the last row of a triangle of `count` = 1, 3, 6, 10, ... entries."""
     return int(((8 * count + 1) ** 0.5 - 1) / 2)
 
 
@@ -124,7 +124,7 @@ def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Je
     scale = (weights[..., None] * xy.abs()).sum((1, 2)) / (2 * total)
     scale = torch.where(scale > 1e-6, scale, torch.ones_like(scale))
 
-    # in float32 the rounding of the products outweighs the ridge: a patch of two scan lines would have no Cholesky factor
+    # in float32 the rounding of the products would outweigh the ridge, and two scan lines have no Cholesky factor
     design = monomials((xy / scale[:, None, None]).double(), order)  # (B, k, T)
     weighted = (design * (weights / total[:, None])[..., None]).transpose(1, 2)  # (B, T, k)
     ridge = 1e-6 if points.dtype == torch.float32 else 1e-13

@@ -88,7 +88,7 @@ def load_model(name: str | Path) -> PatchFit:
 
 
 def resolve(name: str | Path) -> Path:
-    """The file of a packaged name (``deepfit``) or of a path.
+    """The file of a packaged name (`deepfit`) or of a path.
 
     Raises:
         ModelError: if it is neither.

@@ -1,8 +1,9 @@
-"""Layers that the networks share. Features are (..., channels): one row a point, so that a layer is one matrix product."""
+"""Layers that the networks share. Features are (..., channels), a row a point: a layer is one matrix product."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -37,9 +38,9 @@ class PointLayer(nn.Module):
             self.norm = nn.Identity()
 
     def split(self, shared: Tensor, features: Tensor) -> Tensor:
-        """The layer on ``cat([shared, features])`` without building it.
+        """The layer on `cat([shared, features])` without building it.
 
-        A row of ``shared``, (B, C_shared), belongs to all k points of ``features``, (B, k, C): its part of the
+        A row of `shared`, (B, C_shared), belongs to all k points of `features`, (B, k, C): its part of the
         product is computed once instead of k times. The result is the same up to rounding.
         """
         ours, theirs = self.linear.weight.split([shared.shape[-1], features.shape[-1]], dim=1)
@@ -52,10 +53,9 @@ def full_precision(tensor: Tensor) -> torch.autocast:
     return torch.autocast(tensor.device.type, enabled=False)
 
 
-def point_layers(widths: Sequence[int], slope: float = 0.0) -> nn.Sequential:
-    """A chain of point layers through the given widths, each with a (leaky) ReLU."""
-    pairs = zip(widths[:-1], widths[1:], strict=True)
-    return nn.Sequential(*(PointLayer(a, b, nn.LeakyReLU(slope) if slope else nn.ReLU()) for a, b in pairs))
+def point_layers(widths: Sequence[int]) -> nn.Sequential:
+    """A chain of point layers through the given widths, each with a ReLU."""
+    return nn.Sequential(*(PointLayer(a, b, nn.ReLU()) for a, b in pairwise(widths)))
 
 
 def gather(features: Tensor, indices: Tensor) -> Tensor:
@@ -67,7 +67,7 @@ def gather(features: Tensor, indices: Tensor) -> Tensor:
 
 
 def nearest(points: Tensor, queries: Tensor, k: int) -> Tensor:
-    """Indices, (B, m, k), of the k nearest of (B, n, C) ``points`` to each of (B, m, C) ``queries``.
+    """Indices, (B, m, k), of the k nearest of (B, n, C) `points` to each of (B, m, C) `queries`.
 
     Distances in any number of channels, the query itself included where it is among the points.
     """

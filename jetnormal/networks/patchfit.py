@@ -50,7 +50,7 @@ class PatchPrediction:
     """What the network says of B patches; normals are unit vectors in the patch frame, their signs arbitrary.
 
     Attributes:
-        rotation: (B, 3, 3) z-direction transform, ``points @ rotation`` has the normal near z.
+        rotation: (B, 3, 3) z-direction transform, `points @ rotation` has the normal near z.
         weights: (B, k) of the fit.
         jet: the fit, in the rotated frame.
         rough: (B, 3) normals of the fit.
@@ -87,7 +87,7 @@ class PatchFit(nn.Module):
         """Predicts the normals of patches.
 
         Args:
-            points: (B, k, 3) patches in their own frame (``geometry.patches``).
+            points: (B, k, 3) patches in their own frame (`geometry.patches`).
             iterations: from the second on, the normal found replaces the learned transform: the patch is turned until
                 it meets z, and weights, fit and correction run again (the paper's iterative estimation).
             neighbors: whether to predict the neighbors' normals too, for training.

@@ -1,6 +1,6 @@
 """Input transforms: rotations that bring the normal of a patch to its z axis.
 
-Points are row vectors: a transform R, (B, 3, 3), is applied as ``points @ R`` and undone as ``normals @ R.T``.
+Points are row vectors: a transform R, (B, 3, 3), is applied as `points @ R` and undone as `normals @ R.T`.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def scaled(channels: int, width: float) -> int:
 
 
 def quaternion_head(*widths: int) -> nn.Sequential:
-    """Fully connected layers through ``widths`` to a quaternion minus the identity."""
+    """Fully connected layers through `widths` to a quaternion minus the identity."""
     return nn.Sequential(point_layers(widths), zero_linear(widths[-1], 4))
 
 
@@ -93,7 +93,7 @@ def zero_linear(inputs: int, outputs: int) -> nn.Linear:
 
 
 def rotation_matrix(offset: Tensor) -> Tensor:
-    """(B, 3, 3) rotations of the quaternions (1, 0, 0, 0) + ``offset``, (B, 4), of any length but zero."""
+    """(B, 3, 3) rotations of the quaternions (1, 0, 0, 0) + `offset`, (B, 4), of any length but zero."""
     w, x, y, z = nn.functional.normalize(offset.float() + offset.new_tensor([1.0, 0, 0, 0]), dim=1).unbind(1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -104,7 +104,7 @@ def rotation_matrix(offset: Tensor) -> Tensor:
 
 
 def rotation_to_z(normals: Tensor) -> Tensor:
-    """The smallest rotations R, (B, 3, 3), with ``normals @ R = +-z`` for (B, 3) unit normals of either sign."""
+    """The smallest rotations R, (B, 3, 3), with `normals @ R = +-z` for (B, 3) unit normals of either sign."""
     n = torch.where(normals[:, 2:] < 0, -normals, normals)
     x, y, z = n.unbind(1)
     s = 1 / (1 + z)

@@ -46,9 +46,7 @@ def consistency_loss(prediction: PatchPrediction, neighbor_normals: Tensor, spar
     A point whose normal the fit does not explain loses weight; the logarithm forbids the empty explanation.
     """
     assert prediction.rough_neighbors is not None and prediction.refined_neighbors is not None
-    sines = sine(prediction.rough_neighbors, neighbor_normals) + sine(
-        prediction.refined_neighbors, neighbor_normals
-    )
+    sines = sine(prediction.rough_neighbors, neighbor_normals) + sine(prediction.refined_neighbors, neighbor_normals)
     return (prediction.weights * sines).mean() / 2 - sparsity * prediction.weights.log().mean()
 
 
