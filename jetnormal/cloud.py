@@ -76,8 +76,7 @@ class Cloud:
     @property
     def valid(self) -> NDArray[np.bool_]:
         """(N,) bool: the points whose three coordinates are finite."""
-        finite: NDArray[np.bool_] = np.isfinite(self.points).all(axis=1)
-        return finite
+        return np.asarray(np.isfinite(self.points).all(axis=1))
 
 
 def _rows_of_three(values: NDArray[Any], name: str) -> NDArray[np.float64]:

@@ -51,9 +51,7 @@ def read(path: str | PathLike[str]) -> Cloud:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     except MemoryError as error:
-        raise ResourceError(
-            f"{path}: does not fit into memory; split the file or use a larger machine"
-        ) from error
+        raise ResourceError(f"{path}: does not fit into memory; split the file or use a larger machine") from error
 
 
 def write(
@@ -115,9 +113,7 @@ def _choose_encoding(source: Source, codec: Codec, wanted: str | None, path: Pat
         return wanted
     if wanted == "binary" and len(codec.encodings) > 1:
         return codec.encodings[0]
-    raise UsageError(
-        f"{path}: no encoding {wanted!r} for this suffix; choose from {', '.join(codec.encodings)}"
-    )
+    raise UsageError(f"{path}: no encoding {wanted!r} for this suffix; choose from {', '.join(codec.encodings)}")
 
 
 def _losses(cloud: Cloud, target: str) -> list[str]:

@@ -98,9 +98,7 @@ def _read_header(stream: BinaryIO, path: Path) -> _Header:
     try:
         return _interpret(entries, tuple(comments), lines)
     except ValueError as error:
-        raise InputError(
-            f"{path}: damaged PCD header ({error}); correct it or export the file again"
-        ) from None
+        raise InputError(f"{path}: damaged PCD header ({error}); correct it or export the file again") from None
 
 
 def _interpret(entries: dict[str, list[str]], comments: tuple[str, ...], lines: int) -> _Header:
@@ -254,22 +252,16 @@ def _header_text(cloud: Cloud, columns: Columns, encoding: str) -> str:
 def _body(columns: Columns, encoding: str) -> Iterator[bytes | memoryview]:
     points = len(columns["x"])
     if encoding == "ascii":
-        flat = (
-            [part for values in columns.values() for part in values.reshape(points, -1).T] if points else []
-        )
+        flat = [part for values in columns.values() for part in values.reshape(points, -1).T] if points else []
         yield from format_rows(flat, " ") if points else ()
     elif encoding == "binary":
-        described = [
-            (name, values.dtype.newbyteorder("<"), values.shape[1:]) for name, values in columns.items()
-        ]
+        described = [(name, values.dtype.newbyteorder("<"), values.shape[1:]) for name, values in columns.items()]
         table = np.empty(points, np.dtype(described))
         for name, values in columns.items():
             table[name] = values
         yield table.view(np.uint8).data
     else:
-        fields = b"".join(
-            values.astype(values.dtype.newbyteorder("<")).tobytes() for values in columns.values()
-        )
+        fields = b"".join(values.astype(values.dtype.newbyteorder("<")).tobytes() for values in columns.values())
         if len(fields) > 0xFFFFFFFF:
             raise InputError("a compressed PCD file holds at most 4 GiB; choose the encoding 'binary'")
         packed = lzf.compress(fields)

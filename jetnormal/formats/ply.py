@@ -2,19 +2,17 @@
 
 Format: http://paulbourke.net/dataformats/ply/
 
-The vertices of nearly every file are scalar properties that come first; they are read and written here, as
-one structured array. What follows them (faces, edges...) is carried along as the bytes it is. plyfile, which
-parses row by row, does the rest: lists per vertex, elements before the vertices, and other elements whose
-encoding changes.
+The vertices come and go as columns. What follows them (faces, edges...) is carried along as the bytes it is,
+unless the encoding changes.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -22,8 +20,8 @@ from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats.columns import NORMALS, Columns, cloud_from_columns, columns_from_cloud
 from jetnormal.formats.ply_header import BYTE_ORDERS, TYPE_NAMES, Element, Header, Property, read_header
+from jetnormal.formats.ply_rows import format_element, read_element
 from jetnormal.formats.storage import to_storable, unpack_colors
-from jetnormal.formats.table import format_rows, read_table
 
 
 @dataclass(frozen=True)
@@ -37,6 +35,8 @@ class PlyExtra:
         body: the other elements' rows.
         length_types: for each vertex property that is a list, the type of the number that precedes it.
         points: how many vertices there were, to which faces refer.
+        path: the file, for messages.
+        header_lines: length of its header, for messages.
     """
 
     object_info: tuple[str, ...]
@@ -45,6 +45,8 @@ class PlyExtra:
     body: bytes
     length_types: dict[str, str]
     points: int
+    path: Path
+    header_lines: int
 
 
 def read(path: Path) -> Cloud:
@@ -57,9 +59,7 @@ def read(path: Path) -> Cloud:
         header = read_header(stream, path)
         names = [element.name for element in header.elements]
         if names.count("vertex") != 1 or len(set(names)) != len(names):
-            raise InputError(
-                f"{path}: must hold one element 'vertex', but holds {', '.join(names) or 'nothing'}"
-            )
+            raise InputError(f"{path}: must hold one element 'vertex', but holds {', '.join(names) or 'nothing'}")
         size = path.stat().st_size - stream.tell()
         needed = sum(element.smallest_size(header.encoding) for element in header.elements)
         if needed > size + (header.encoding == "ascii"):  # the last line may lack its end
@@ -70,46 +70,29 @@ def read(path: Path) -> Cloud:
             )
         vertex = header.elements[names.index("vertex")]
         others = tuple(element for element in header.elements if element is not vertex)
-        try:
-            if vertex is header.elements[0] and vertex.is_scalar:
-                columns, body = _read_scalars(stream, header, vertex, path)
-                _check_body(others, header.encoding, body)
-            else:
-                columns, body = _read_any(stream, header, vertex)
-        except ValueError as error:
-            raise InputError(f"{path}: {error}; the file is damaged, export it again") from None
+        if vertex is header.elements[0]:
+            columns = read_element(stream, vertex, header.encoding, path, header.lines + 1)
+            body = stream.read()
+            _check_body(others, header.encoding, body, path, header.lines + 1 + vertex.count)
+        else:
+            parsed = _parse(stream, header.elements, header.encoding, path, header.lines + 1)
+            columns = parsed.pop("vertex")
+            body = _format(parsed, others, header.encoding)
     lengths = {prop.name: prop.length_type for prop in vertex.properties if prop.length_type}
-    extra = PlyExtra(header.object_info, others, header.encoding, body, lengths, vertex.count)
+    extra = PlyExtra(header.object_info, others, header.encoding, body, lengths, vertex.count, path, header.lines)
     source = Source(format="ply", encoding=header.encoding, comments=header.comments, extra=extra)
     return cloud_from_columns(columns, source, path)
 
 
-def _read_scalars(stream: BinaryIO, header: Header, vertex: Element, path: Path) -> tuple[Columns, bytes]:
-    dtype = vertex.dtype(header.encoding)
-    if header.encoding == "ascii":
-        table = read_table(
-            stream, dtype, path=path, line=header.lines + 1, columns=len(vertex.properties), rows=vertex.count
-        )
-    else:
-        table = np.fromfile(stream, dtype, vertex.count)
-    return {name: table[name] for name in dtype.names or ()}, stream.read()
-
-
-def _read_any(stream: BinaryIO, header: Header, vertex: Element) -> tuple[Columns, bytes]:
-    elements = _parse(header.elements, header.encoding, stream.read())
-    data = next(element for element in elements if element.name == "vertex").data
-    body = _format([element for element in elements if element.name != "vertex"], header.encoding)
-    return {prop.name: data[prop.name] for prop in vertex.properties}, body
-
-
-def _check_body(elements: Sequence[Element], encoding: str, body: bytes) -> None:
-    """Raises ValueError if the rows of the elements that are carried along are not all there."""
+def _check_body(elements: Sequence[Element], encoding: str, body: bytes, path: Path, line: int) -> None:
+    """Finds out whether the rows of the elements that are carried along are all there."""
     if encoding == "ascii":
-        rows, expected = sum(1 for line in body.splitlines() if line.strip()), sum(e.count for e in elements)
+        rows = sum(1 for line in body.splitlines() if line.strip())
+        expected = sum(element.count for element in elements)
         if rows != expected:
-            raise ValueError(f"{rows} rows follow the vertices instead of {expected}")
+            raise InputError(f"{path}: {rows} rows follow the vertices instead of {expected}; correct the header")
     elif not all(element.is_scalar for element in elements) and not _is_triangles(elements, encoding, body):
-        _parse(elements, encoding, body)
+        _parse(io.BytesIO(body), elements, encoding, path, line)
 
 
 def _is_triangles(elements: Sequence[Element], encoding: str, body: bytes) -> bool:
@@ -123,25 +106,22 @@ def _is_triangles(elements: Sequence[Element], encoding: str, body: bytes) -> bo
     return bool((np.frombuffer(body, row)["length"] == 3).all())
 
 
-def _parse(elements: Sequence[Element], encoding: str, body: bytes) -> list[Any]:
-    """The plyfile elements in a file's body. Raises ValueError where it is damaged."""
-    import plyfile
-
-    try:
-        return list(
-            plyfile.PlyData.read(io.BytesIO(Header(encoding, tuple(elements)).encode() + body)).elements
-        )
-    except plyfile.PlyParseError as error:
-        raise ValueError(" ".join(str(error).split())) from None
+def _parse(stream: BinaryIO, elements: Sequence[Element], encoding: str, path: Path, line: int) -> dict[str, Columns]:
+    parsed = {}
+    for element in elements:
+        parsed[element.name] = read_element(stream, element, encoding, path, line)
+        line += element.count
+    return parsed
 
 
-def _format(elements: Sequence[Any], encoding: str) -> bytes:
-    """A file's body made of plyfile elements."""
-    import plyfile
+def _format(parsed: dict[str, Columns], elements: Sequence[Element], encoding: str) -> bytes:
+    return b"".join(chunk for element in elements for chunk in format_element(parsed[element.name], element, encoding))
 
-    stream = io.BytesIO()
-    plyfile.PlyData(elements, text=encoding == "ascii", byte_order=BYTE_ORDERS[encoding]).write(stream)
-    return stream.getvalue().partition(b"end_header\n")[2]
+
+def _transcode(extra: PlyExtra, encoding: str) -> bytes:
+    line = extra.header_lines + 1 + extra.points
+    parsed = _parse(io.BytesIO(extra.body), extra.elements, extra.encoding, extra.path, line)
+    return _format(parsed, extra.elements, encoding)
 
 
 def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
@@ -163,11 +143,11 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
         warnings.append(f"{describe_elements(elements)} would refer to points that are gone and is not kept")
         elements, tail = (), b""
     elif extra and elements and encoding != extra.encoding:
-        tail = _format(_parse(elements, extra.encoding, tail), encoding)
+        tail = _transcode(extra, encoding)
     vertex = _vertex_element(columns, extra.length_types if extra else {})
     object_info = extra.object_info if extra else ()
     stream.write(Header(encoding, (vertex, *elements), cloud.source.comments, object_info).encode())
-    for chunk in _vertex_body(columns, vertex, encoding):
+    for chunk in format_element(columns, vertex, encoding):
         stream.write(chunk)
     stream.write(tail)
     return warnings + changed
@@ -191,30 +171,3 @@ def _vertex_element(columns: Columns, length_types: dict[str, str]) -> Element:
         kinds = {np.asarray(row).dtype.newbyteorder("=") for row in values}
         properties.append(Property(name, np.result_type(*kinds).str[1:] if kinds else "f4", length_type))
     return Element("vertex", len(columns["x"]), tuple(properties))
-
-
-def _vertex_body(columns: Columns, vertex: Element, encoding: str) -> Iterator[bytes | memoryview]:
-    if not vertex.is_scalar:
-        yield _format([_plyfile_element(columns, vertex)], encoding)
-    elif encoding == "ascii":
-        yield from format_rows(list(columns.values()), " ")
-    else:
-        table = np.empty(vertex.count, vertex.dtype(encoding))
-        for name, values in columns.items():
-            table[name] = values
-        yield table.view(np.uint8).data
-
-
-def _plyfile_element(columns: Columns, vertex: Element) -> Any:
-    import plyfile
-
-    table = np.empty(vertex.count, [(name, values.dtype) for name, values in columns.items()])
-    for name, values in columns.items():
-        table[name] = values
-    lists = [prop for prop in vertex.properties if prop.length_type]
-    return plyfile.PlyElement.describe(
-        table,
-        vertex.name,
-        len_types={prop.name: prop.length_type for prop in lists},
-        val_types={prop.name: prop.type for prop in lists},
-    )

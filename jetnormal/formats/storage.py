@@ -34,9 +34,7 @@ def to_storable(columns: Columns, types: frozenset[str], *, vectors: bool) -> tu
             warnings.append(f"attribute {name!r} of type {values.dtype} is not kept")
         else:
             fitting = _nearest_type(values, types)
-            if values.dtype != object and not np.array_equal(
-                fitting, values, equal_nan=values.dtype.kind == "f"
-            ):
+            if values.dtype != object and not _same_numbers(fitting, values):
                 warnings.append(f"attribute {name!r} of type {values.dtype} is rounded to {fitting.dtype}")
             if fitting.ndim == 1 or vectors:
                 stored[unique_name(name, stored)] = fitting
@@ -46,6 +44,12 @@ def to_storable(columns: Columns, types: frozenset[str], *, vectors: bool) -> tu
             for index, part in enumerate(parts):
                 stored[unique_name(f"{name}_{index}", {*columns, *stored})] = part
     return stored, warnings
+
+
+def _same_numbers(converted: NDArray[Any], values: NDArray[Any]) -> bool:
+    with np.errstate(all="ignore"):
+        back = converted.astype(values.dtype)
+    return np.array_equal(back, values, equal_nan=values.dtype.kind == "f")
 
 
 def _stack_lists(values: NDArray[Any]) -> NDArray[Any] | None:

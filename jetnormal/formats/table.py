@@ -61,9 +61,7 @@ def read_table(
         problem = _find_problem(stream, _leaf_types(dtype, columns), line, delimiter)
         raise InputError(f"{path}: {problem or error}; correct the file") from None
     if not dtype.names and len(table) and table.shape[1] != columns:
-        raise InputError(
-            f"{path}: line {line}: {table.shape[1]} values instead of {columns}; correct the file"
-        )
+        raise InputError(f"{path}: line {line}: {table.shape[1]} values instead of {columns}; correct the file")
     if rows is not None and len(table) < rows:
         raise InputError(f"{path}: declares {rows} points but holds {len(table)}; the file is truncated")
     return table
@@ -76,9 +74,7 @@ def _leaf_types(dtype: np.dtype[Any], columns: int) -> list[np.dtype[Any]]:
     return [field.base for field in fields for _ in range(int(np.prod(field.shape)))]
 
 
-def _find_problem(
-    stream: BinaryIO, types: list[np.dtype[Any]], first_line: int, delimiter: str | None
-) -> str | None:
+def _find_problem(stream: BinaryIO, types: list[np.dtype[Any]], first_line: int, delimiter: str | None) -> str | None:
     """Says what is wrong with the first bad row, once the fast parser has given up."""
     for number, raw in enumerate(stream, first_line):
         text = raw.decode("latin1").strip()
@@ -117,9 +113,7 @@ def format_rows(columns: Sequence[NDArray[Any]], delimiter: str) -> Iterator[byt
             values = _shortest(column) if column.dtype == np.float32 else column
             flat[index :: len(chunk)] = values.tolist()
         text = row * len(chunk[0]) % tuple(flat)
-        yield (
-            text.replace(f".0{delimiter}", delimiter).replace(".0\n", "\n").encode("ascii")
-        )  # 1 instead of 1.0
+        yield (text.replace(f".0{delimiter}", delimiter).replace(".0\n", "\n").encode("ascii"))  # 1 instead of 1.0
 
 
 def _shortest(values: NDArray[np.float32]) -> NDArray[np.float64]:

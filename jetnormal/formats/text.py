@@ -47,7 +47,7 @@ class Style:
     Attributes:
         suffix: of the file, in lower case.
         delimiter: what stands between two numbers.
-        header: ``""`` for none, ``"plain"`` for a line of names, or the comment marker that precedes the
+        header: ``""`` for none, ``"plain"`` for a line of names, or the beginning of a comment with the
             names.
         count_line: whether a line gives the number of points.
         marker: what begins a comment.
@@ -58,7 +58,7 @@ class Style:
     delimiter: str = " "
     header: str = ""
     count_line: bool = False
-    marker: str = "#"
+    marker: str = "# "
     spelling: dict[str, str] = field(default_factory=dict)
 
 
@@ -78,9 +78,7 @@ def read(path: Path) -> Cloud:
             raise InputError(f"{path}: holds no points; is this the right file?")
         numbers, comments = _read_rows(stream, preamble, path)
     if preamble.count not in (None, len(numbers[0])):
-        raise InputError(
-            f"{path}: declares {preamble.count} points but holds {len(numbers[0])}; is it truncated?"
-        )
+        raise InputError(f"{path}: declares {preamble.count} points but holds {len(numbers[0])}; is it truncated?")
     names = preamble.names or _guess_names(numbers, path.suffix.lower())
     spelling, columns = _name_columns(names, numbers, path)
     comments = preamble.comments + comments
@@ -89,7 +87,7 @@ def read(path: Path) -> Cloud:
         delimiter=preamble.delimiter,
         header=preamble.header,
         count_line=preamble.count is not None,
-        marker=comments[0][0] if comments else "#",
+        marker=comments[0][0] if comments else "# ",
         spelling=spelling,
     )
     source = Source(format="xyz", encoding="ascii", comments=tuple(text for _, text in comments), extra=style)
@@ -110,9 +108,7 @@ def _open(path: Path) -> BinaryIO:
     return stream
 
 
-def _read_rows(
-    stream: BinaryIO, preamble: Preamble, path: Path
-) -> tuple[list[NDArray[Any]], list[tuple[str, str]]]:
+def _read_rows(stream: BinaryIO, preamble: Preamble, path: Path) -> tuple[list[NDArray[Any]], list[tuple[str, str]]]:
     """The columns of numbers, and the comments among them.
 
     Comments and unusual numbers stop the fast parser; only then the text is cleaned and parsed again.
@@ -142,7 +138,8 @@ def _parse(stream: BinaryIO, preamble: Preamble, path: Path) -> list[NDArray[Any
     )
     start = stream.tell()
     columns: list[NDArray[Any]] = list(read_rows(stream, np.dtype(np.float64)).T)
-    types = ["f8" if np.isnan(c).any() or np.abs(c).max() < _EXACT_INTEGERS else "i8" for c in columns]
+    largest = [np.abs(column).max() for column in columns]
+    types = ["i8" if _EXACT_INTEGERS <= size < np.inf else "f8" for size in largest]
     if "i8" in types:
         stream.seek(start)
         with suppress(InputError):  # large numbers that are no integers
@@ -152,7 +149,7 @@ def _parse(stream: BinaryIO, preamble: Preamble, path: Path) -> list[NDArray[Any
 
 
 def _clean(text: bytes, delimiter: str) -> tuple[bytes, list[tuple[str, str]]]:
-    comments = re.findall(rb"(#|//)[ \t]?([^\r\n]*)", text)
+    comments = re.findall(rb"((?:#|//)[ \t]?)([^\r\n]*)", text)
     text = re.sub(rb"[ \t]*(#|//)[^\r\n]*", b"", text)
     text = re.sub(rb"(?<=[\d.])[dD](?=[-+\d])", b"e", text)
     if delimiter == ";":
@@ -182,9 +179,7 @@ def _are_bytes(values: NDArray[Any]) -> bool:
     return values.size > 0 and bool(((values >= 0) & (values <= 255) & (values == np.rint(values))).all())
 
 
-def _name_columns(
-    names: list[str], numbers: list[NDArray[Any]], path: Path
-) -> tuple[dict[str, str], Columns]:
+def _name_columns(names: list[str], numbers: list[NDArray[Any]], path: Path) -> tuple[dict[str, str], Columns]:
     """The columns under the names they have in a cloud, and the file's spelling of these."""
     canonical = canonical_names(dict.fromkeys(names), path)
     colors = {name: color for color in COLORS for name in names if name.lower() in (color, color[0])}
@@ -229,7 +224,7 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list
     columns, changed = to_storable(columns, _TYPES, vectors=False)
     style = cloud.source.extra
     if isinstance(style, Style) and style.suffix == suffix:
-        stream.writelines(_encode(f"{style.marker} {comment}".rstrip()) for comment in cloud.source.comments)
+        stream.writelines(_encode(f"{style.marker}{comment}") for comment in cloud.source.comments)
     else:
         warnings += ["comments are not kept"] if cloud.source.comments else []
         has_attributes = not set(columns) <= {*COORDINATES, *NORMALS}
@@ -237,7 +232,7 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list
     header = style.header or ("plain" if suffix == ".csv" else "")
     if header:
         names = style.delimiter.join(style.spelling.get(name, name) for name in columns)
-        stream.write(_encode(names if header == "plain" else f"{header} {names}"))
+        stream.write(_encode(names if header == "plain" else f"{header}{names}"))
     if style.count_line:
         stream.write(_encode(str(len(cloud))))
     for chunk in format_rows(list(columns.values()), style.delimiter):
@@ -250,7 +245,7 @@ def _new_style(suffix: str, has_attributes: bool) -> Style:
         return Style(suffix, delimiter=",", header="plain")
     if suffix == ".pts":
         return Style(suffix, count_line=True)
-    return Style(suffix, header="#" if has_attributes else "")
+    return Style(suffix, header="# " if has_attributes else "")
 
 
 def _encode(line: str) -> bytes:

@@ -10,7 +10,7 @@ from typing import BinaryIO
 from jetnormal.errors import InputError
 from jetnormal.formats.columns import COORDINATES
 
-COMMENT = re.compile(r"\s*(#|//)[ \t]?(.*)")
+COMMENT = re.compile(r"((?:#|//)[ \t]?)(.*)")
 
 _LONGEST_LINE = 1 << 20
 
@@ -25,7 +25,7 @@ class Preamble:
         columns: how many numbers it holds; 0 if there is no row.
         delimiter: what stands between them: a comma, semicolon, tab or blank.
         names: the names of the columns, if the file gives them.
-        header: ``"plain"`` if a line of its own gives the names, the comment marker if a comment does, else
+        header: ``"plain"`` if a line of its own gives the names, what begins the comment if one does, else
             ``""``.
         count: the number of points, if the file gives it.
         comments: pairs of marker and text.
@@ -83,7 +83,7 @@ def _interpret(text: str, found: Preamble, path: Path) -> None:
         wrong = values[numeric.index(False)]
         raise InputError(f"{path}: line {found.line}: {wrong[:40]!r} is not a number; correct the file")
     else:
-        found.names, found.header = values, "plain"
+        found.names, found.header, found.delimiter = values, "plain", delimiter
 
 
 def _names_from_comment(found: Preamble) -> None:
@@ -100,8 +100,13 @@ def _names_from_comment(found: Preamble) -> None:
 
 
 def split_line(text: str) -> tuple[list[str], str]:
-    """The values of a line, without quotes, and the delimiter: a semicolon, comma, tab or blank."""
+    """The values of a line, without quotes, and the delimiter: a semicolon, comma, tab or blank.
+
+    Numbers may be parted by tabs and blanks in any mixture; between names, a tab keeps the blanks within them.
+    """
     for delimiter in ";,\t":
+        if delimiter == "\t" and all(_is_number(word, delimiter) for word in text.split()):
+            return text.split(), delimiter if delimiter in text else " "
         if delimiter in text:
             return [value.strip().strip('"').strip() for value in text.split(delimiter)], delimiter
     return [value.strip('"') for value in text.split()], " "

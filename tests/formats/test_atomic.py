@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import errno
+import os
+import resource
+
+import pytest
+
+from jetnormal.errors import InputError
+from jetnormal.formats.atomic import atomic_write, check_target
+
+
+def test_a_new_file_appears_with_the_usual_permissions(tmp_path):
+    path = tmp_path / "out.bin"
+    with atomic_write(path) as stream:
+        stream.write(b"data")
+        assert not path.exists()
+    assert path.read_bytes() == b"data"
+    (tmp_path / "plain").touch()
+    assert path.stat().st_mode == (tmp_path / "plain").stat().st_mode
+    assert sorted(os.listdir(tmp_path)) == ["out.bin", "plain"]  # noqa: PTH208
+
+
+@pytest.mark.parametrize("problem", [RuntimeError, KeyboardInterrupt])
+def test_any_failure_leaves_the_old_file_and_no_other(tmp_path, problem):
+    path = tmp_path / "out.bin"
+    path.write_bytes(b"old")
+    with pytest.raises(problem), atomic_write(path, overwrite=True) as stream:
+        stream.write(b"new")
+        raise problem
+    assert path.read_bytes() == b"old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out.bin"]
+
+
+def test_a_file_that_may_not_grow_is_an_input_error(tmp_path):
+    """The limit on file sizes makes the system refuse the write, as a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
+    try:
+        with pytest.raises(InputError, match="cannot be written"), atomic_write(tmp_path / "a") as stream:
+            stream.write(b"x" * 20_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_says_so(tmp_path):
+    with pytest.raises(InputError, match=r"No space left on device.*free some space"), atomic_write(tmp_path / "a"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_file_needs_force(tmp_path):
+    path = tmp_path / "out.bin"
+    path.write_bytes(b"old")
+    with pytest.raises(InputError, match=r"out\.bin: already exists; use --force"), atomic_write(path):
+        pass
+    with atomic_write(path, overwrite=True) as stream:
+        stream.write(b"new")
+    assert path.read_bytes() == b"new"
+
+
+def test_a_link_is_followed_and_permissions_are_kept(tmp_path):
+    path, link = tmp_path / "out.bin", tmp_path / "link"
+    path.touch()
+    path.chmod(0o640)
+    link.symlink_to(path)
+    with atomic_write(link, overwrite=True) as stream:
+        stream.write(b"new")
+    assert link.is_symlink()
+    assert path.read_bytes() == b"new"
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [("folder", "is a folder"), ("missing/a", "does not exist"), ("pipe", "not a regular file")],
+)
+def test_unsuitable_targets(tmp_path, target, message):
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match=message):
+        check_target(tmp_path / target, overwrite=True)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_write_permission(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(InputError, match="not writable"):
+        check_target(tmp_path / "a", overwrite=False)
