@@ -9,6 +9,7 @@ import typer
 
 import jetnormal
 from jetnormal.cli.estimate import estimate
+from jetnormal.cli.evaluate import evaluate
 from jetnormal.cli.failures import report_failure
 
 app = typer.Typer(
@@ -18,6 +19,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(estimate)
+app.command()(evaluate)
 
 
 def _print_version(wanted: bool) -> None:
@@ -37,6 +39,7 @@ def describe(
     \b
     Examples:
       jetnormal estimate scan.ply -o scan_normals.ply
+      jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112
       jetnormal estimate --help
 
     \b

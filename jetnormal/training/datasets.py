@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import InputError, UsageError
+from jetnormal.pcpnet import cloud_names, read_cloud
 from jetnormal.training.corruption import Surface, scan
 from jetnormal.training.meshes import MESH_SUFFIXES, MeshSampler, load_mesh
-from jetnormal.training.pcpnet import cloud_names, read_cloud
 from jetnormal.training.shapes import random_solid
 
 TRAINING_LIST = "trainingset_whitenoise.txt"
@@ -172,9 +172,7 @@ class Mixture:
             taken[chosen] += 1
             self._turns.append(chosen)
         if not taken.all():
-            raise UsageError(
-                f"a weight of the mixture is too small for a turn in {self.clouds_per_epoch} clouds"
-            )
+            raise UsageError(f"a weight of the mixture is too small for a turn in {self.clouds_per_epoch} clouds")
 
     def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
         """See `DataSource.cloud`."""
@@ -182,9 +180,7 @@ class Mixture:
         source = self._sources[chosen]
         position = epoch * self._turns.count(chosen) + self._turns[:index].count(chosen)
         own_epoch, own_index = divmod(position, source.clouds_per_epoch)
-        own_seed = int(
-            np.random.SeedSequence([seed, chosen]).generate_state(1)[0]
-        )  # else corruptions would agree
+        own_seed = int(np.random.SeedSequence([seed, chosen]).generate_state(1)[0])  # else corruptions would agree
         return source.cloud(own_epoch, own_index, own_seed)
 
 

@@ -16,16 +16,9 @@ def cloud_names(directory: Path, list_file: str | None) -> list[str]:
     Raises:
         InputError: The list is missing, a cloud that it names lacks a file, or there are no clouds.
     """
-    present = sorted(
-        path.stem for path in directory.glob("*.normals") if _file(directory, path.stem, "xyz").is_file()
-    )
+    present = sorted(path.stem for path in directory.glob("*.normals") if _file(directory, path.stem, "xyz").is_file())
     path = directory / (list_file or "")
-    if list_file is None:
-        names = present
-    else:
-        if not path.is_file():
-            raise InputError(f"{path}: no such list of clouds")
-        names = path.read_text(encoding="utf-8", errors="replace").split()
+    names = present if list_file is None else read_list(path)
     missing = [name for name in names if name not in present]
     if missing:
         shown = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
@@ -35,9 +28,18 @@ def cloud_names(directory: Path, list_file: str | None) -> list[str]:
     return names
 
 
-def read_cloud(
-    directory: Path, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64] | None]:
+def read_list(path: Path) -> list[str]:
+    """Names in a list of clouds, one per line.
+
+    Raises:
+        InputError: The list is missing.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such list of clouds")
+    return path.read_text(encoding="utf-8", errors="replace").split()
+
+
+def read_cloud(directory: Path, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64] | None]:
     """Reads the points (N, 3), unit normals (N, 3) and, where there are any, the indices (Q,) to evaluate.
 
     Raises:
@@ -58,6 +60,21 @@ def read_cloud(
     if queries.min() < 0 or queries.max() >= len(points):
         raise InputError(f"{path}: an index is not among the {len(points)} points")
     return points, normals / length, queries
+
+
+def query_count(directory: Path, name: str) -> int:
+    """Number of points of a cloud that are evaluated, without parsing its files: lines of .pidx, else of .xyz.
+
+    Raises:
+        InputError: The file is unreadable.
+    """
+    path = _file(directory, name, "pidx")
+    path = path if path.is_file() else _file(directory, name, "xyz")
+    try:
+        with path.open("rb") as lines:
+            return sum(not line.isspace() for line in lines)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
 
 
 def _file(directory: Path, name: str, suffix: str) -> Path:
