@@ -13,6 +13,7 @@ MAX_RATIO = 88
 """The longest match unpacks 3 bytes to 264, so no stream can grow more than this."""
 
 _WINDOW = 8192
+_REMEMBERED = 8 * _WINDOW  # most of these sequences are out of reach by then
 _LONGEST_MATCH = 264
 _LONGEST_LITERAL = 32
 
@@ -55,7 +56,10 @@ def decompress(packed: bytes, size: int) -> bytes:
 
 
 def compress(data: bytes) -> bytes:
-    """Packs bytes greedily: at each position the most recent match of three or more bytes is taken."""
+    """Packs bytes greedily: the most recent match of three or more bytes is taken.
+
+    The longer nothing has matched, the longer are the steps, as in LZ4: noise is not worth the time.
+    """
     out = bytearray()
     recent: dict[bytes, int] = {}  # the last position of each three-byte sequence
     position = literals = 0
@@ -65,7 +69,9 @@ def compress(data: bytes) -> bytes:
         match = recent.get(key, -_WINDOW - 1)
         recent[key] = position
         if position - match > _WINDOW:
-            position += 1
+            position += 1 + (position - literals >> 6)
+            if len(recent) > _REMEMBERED:
+                recent.clear()
             continue
         length, longest = 3, min(_LONGEST_MATCH, end - position)
         while length < longest and data[match + length] == data[position + length]:

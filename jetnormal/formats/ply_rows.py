@@ -125,9 +125,10 @@ def _format_binary_row(values: tuple[Any, ...], properties: tuple[Property, ...]
 
 def _format_text_row(values: tuple[Any, ...], properties: tuple[Property, ...], order: str) -> bytes:
     """One row of text; `order` means nothing here."""
-    numbers: list[NDArray[Any]] = []
+    words = []
     for prop, value in zip(properties, values, strict=True):
+        numbers = np.asarray(value, prop.type).reshape(-1)
         if prop.length_type:
-            numbers.append(np.array([len(value)]))
-        numbers.extend(np.atleast_1d(np.asarray(value, prop.type)).reshape(-1, 1))
-    return b"".join(format_rows(numbers, " "))
+            words.append(str(len(numbers)))
+        words += map(str, numbers if prop.type == "f4" else numbers.tolist())  # a float32 has a shorter form
+    return (" ".join(words) + "\n").encode("ascii")

@@ -37,6 +37,8 @@ ENCODINGS = ("ascii",)
 
 _TYPES = frozenset(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"))
 _UNIT_TOLERANCE = 0.02  # normals in text have been rounded, often to two decimals
+_COMMENT = re.compile(rb"((?:#|//)[ \t]?)([^\r\n]*)")
+_PIECE = 1 << 24
 _EXACT_INTEGERS = 2.0**53  # from here on a double cannot hold every integer
 
 
@@ -111,20 +113,19 @@ def _open(path: Path) -> BinaryIO:
 def _read_rows(stream: BinaryIO, preamble: Preamble, path: Path) -> tuple[list[NDArray[Any]], list[tuple[str, str]]]:
     """The columns of numbers, and the comments among them.
 
-    Comments and unusual numbers stop the fast parser; only then the text is cleaned and parsed again.
+    Comments and unusual numbers are rare, and looking for them is quick: only then the text is cleaned.
     """
     if not preamble.columns:
         return [np.empty(0) for _ in preamble.names or COORDINATES], []
     stream.seek(preamble.offset)
-    try:
+    pieces = iter(partial(stream.read, _PIECE), b"")
+    unusual = (b"#", b"/", b"d", b"D") + ((b",",) if preamble.delimiter == ";" else ())
+    is_unusual = any(sign in piece for piece in pieces for sign in unusual)
+    stream.seek(preamble.offset)
+    if not is_unusual:
         return _parse(stream, preamble, path), []
-    except InputError:
-        stream.seek(preamble.offset)
-        text = stream.read()
-        cleaned, comments = _clean(text, preamble.delimiter)
-        if cleaned == text:
-            raise
-        return _parse(io.BytesIO(cleaned), preamble, path), comments
+    cleaned, comments = _clean(stream.read(), preamble.delimiter)
+    return _parse(io.BytesIO(cleaned), preamble, path), comments
 
 
 def _parse(stream: BinaryIO, preamble: Preamble, path: Path) -> list[NDArray[Any]]:
@@ -149,12 +150,14 @@ def _parse(stream: BinaryIO, preamble: Preamble, path: Path) -> list[NDArray[Any
 
 
 def _clean(text: bytes, delimiter: str) -> tuple[bytes, list[tuple[str, str]]]:
-    comments = re.findall(rb"((?:#|//)[ \t]?)([^\r\n]*)", text)
-    text = re.sub(rb"[ \t]*(#|//)[^\r\n]*", b"", text)
-    text = re.sub(rb"(?<=[\d.])[dD](?=[-+\d])", b"e", text)
+    """Text with comments cut out, ``e`` for Fortran's ``D``, and points for decimal commas; and the comments."""
+    comments = _COMMENT.findall(text)
+    text = _COMMENT.sub(b"", text)
+    if b"d" in text or b"D" in text:
+        text = re.sub(rb"[dD](?=[-+\d])", b"e", text)
     if delimiter == ";":
         text = text.replace(b",", b".")
-    return text, [(marker.decode(), comment.decode("utf-8", "replace")) for marker, comment in comments]
+    return text, [(marker.decode(), comment.decode("utf-8", "surrogateescape")) for marker, comment in comments]
 
 
 def _guess_names(columns: list[NDArray[Any]], suffix: str) -> list[str]:
