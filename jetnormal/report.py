@@ -6,15 +6,19 @@ import json
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 logger = logging.getLogger("jetnormal")
 
 LOG_INTERVAL = 10.0  # seconds between the progress lines of a job that no terminal watches
 
-Advance = Callable[[int], None]
+
+class Advance(Protocol):
+    """Tells a progress display that `count` more units are done, and what to show beside it, such as a loss."""
+
+    def __call__(self, count: int, note: str = "") -> None: ...
 
 
 class _StderrHandler(logging.Handler):
@@ -48,7 +52,7 @@ def progress(description: str, total: int, unit: str = "points") -> Iterator[Adv
         unit: plural name of what is counted.
     """
     if not logger.isEnabledFor(logging.INFO):
-        yield lambda count: None
+        yield lambda count, note="": None
     elif sys.stderr.isatty():
         yield from _bar(description, total, unit)
     else:
@@ -71,17 +75,18 @@ def _bar(description: str, total: int, unit: str) -> Iterator[Advance]:
         RateColumn(),
         TimeRemainingColumn(),
         TextColumn("left"),
+        TextColumn("{task.fields[note]}"),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(description, total=total)
-        yield lambda count: bar.advance(task, count)
+        task = bar.add_task(description, total=total, note="")
+        yield lambda count, note="": bar.update(task, advance=count, note=note)
 
 
 def _log_lines(description: str, total: int, unit: str) -> Advance:
     start = last = time.monotonic()
     done = 0
 
-    def advance(count: int) -> None:
+    def advance(count: int, note: str = "") -> None:
         nonlocal last, done
         done += count
         now = time.monotonic()
@@ -90,9 +95,8 @@ def _log_lines(description: str, total: int, unit: str) -> Advance:
         last = now
         rate = done / (now - start)
         left = (total - done) / rate if rate else float("inf")
-        logger.info(
-            "%s: %.0f %%, %s %s/s, %.0f s left", description, 100 * done / total, f"{rate:,.0f}", unit, left
-        )
+        line = f"{description}: {100 * done / total:.0f} %, {rate:,.0f} {unit}/s, {left:.0f} s left"
+        logger.info("%s", f"{line}, {note}" if note else line)
 
     return advance
 

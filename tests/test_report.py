@@ -61,12 +61,13 @@ def test_progress_on_a_terminal_shows_rate_and_time_left(monkeypatch):
     with report.progress("estimating", 1000) as advance:
         advance(400)
         time.sleep(0.15)  # the bar is drawn ten times a second
-        advance(100)
+        advance(100, "loss 0.25")
         time.sleep(0.15)
     assert "estimating" in terminal.getvalue()
     assert "50 %" in terminal.getvalue()
     assert "points/s" in terminal.getvalue()
     assert "left" in terminal.getvalue()
+    assert "loss 0.25" in terminal.getvalue()
 
 
 def test_progress_without_terminal_logs_sparse_lines(monkeypatch, capsys):
@@ -77,6 +78,15 @@ def test_progress_without_terminal_logs_sparse_lines(monkeypatch, capsys):
         for count in (100, 500, 100, 300):
             advance(count)
     assert capsys.readouterr().err == "jetnormal: estimating: 60 %, 50 points/s, 8 s left\n"
+
+
+def test_progress_line_ends_with_the_note(monkeypatch, capsys):
+    report.configure_logging(0)
+    clock = iter([0.0, 20.0])
+    monkeypatch.setattr(report.time, "monotonic", lambda: next(clock))
+    with report.progress("epoch 1", 100, unit="patches") as advance:
+        advance(50, "loss 0.25")
+    assert capsys.readouterr().err == "jetnormal: epoch 1: 50 %, 2 patches/s, 20 s left, loss 0.25\n"
 
 
 @pytest.mark.parametrize("configured", [True, False])

@@ -11,6 +11,7 @@ import jetnormal
 from jetnormal.cli.estimate import estimate
 from jetnormal.cli.evaluate import evaluate
 from jetnormal.cli.failures import report_failure
+from jetnormal.cli.train import train
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -20,6 +21,7 @@ app = typer.Typer(
 )
 app.command()(estimate)
 app.command()(evaluate)
+app.command()(train)
 
 
 def _print_version(wanted: bool) -> None:
@@ -40,6 +42,7 @@ def describe(
     Examples:
       jetnormal estimate scan.ply -o scan_normals.ply
       jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112
+      jetnormal train --data pcpnet -o run
       jetnormal estimate --help
 
     \b

@@ -43,9 +43,7 @@ class PatchSampler:
         seed: everything drawn follows from it.
     """
 
-    def __init__(
-        self, source: DataSource, neighbors: int, patches_per_cloud: int, batch_size: int, seed: int
-    ) -> None:
+    def __init__(self, source: DataSource, neighbors: int, patches_per_cloud: int, batch_size: int, seed: int) -> None:
         self.source = source
         self.neighbors = neighbors
         self.patches_per_cloud = patches_per_cloud
@@ -75,8 +73,6 @@ class PatchSampler:
         clouds = []
         for index in range(self.source.clouds_per_epoch):
             cloud = self.source.cloud(epoch, index, self.seed)
-            if len(cloud.points) < self.neighbors:
-                raise InputError(f"{cloud.name}: {len(cloud.points)} points; a patch needs {self.neighbors}")
             clouds.append((cloud, NeighborIndex(cloud.points, threads=1)))
         return clouds
 
@@ -100,10 +96,14 @@ class PatchSampler:
         return Batch(torch.cat([p.points for p in parts]), torch.cat([p.normals for p in parts]))
 
 
-def labeled_patches(
-    cloud: LabeledCloud, index: NeighborIndex, queries: NDArray[np.int64], neighbors: int
-) -> Batch:
-    """The patches around (B,) queries of a cloud, with the true normals of their points."""
+def labeled_patches(cloud: LabeledCloud, index: NeighborIndex, queries: NDArray[np.int64], neighbors: int) -> Batch:
+    """The patches around (B,) queries of a cloud, with the true normals of their points.
+
+    Raises:
+        InputError: if the cloud has fewer points than a patch.
+    """
+    if len(cloud.points) < neighbors:
+        raise InputError(f"{cloud.name}: {len(cloud.points)} points; a patch needs {neighbors}")
     found, _ = index.query(cloud.points[queries], neighbors)
     found[:, 0] = queries  # a duplicate of the query may precede it
     patches = build_patches(cloud.points, queries, found)

@@ -22,6 +22,7 @@ from jetnormal.training.meshes import MESH_SUFFIXES, MeshSampler, load_mesh
 from jetnormal.training.shapes import random_solid
 
 TRAINING_LIST = "trainingset_whitenoise.txt"
+VALIDATION_LIST = "validationset_whitenoise.txt"
 CLOUDS_PER_EPOCH = 24
 POINTS_PER_CLOUD = 100_000
 
@@ -189,42 +190,47 @@ def open_dataset(
     *,
     synthetic: bool = False,
     list_file: str | None = None,
+    default_list: str = TRAINING_LIST,
+    weights: Sequence[float] | None = None,
     clouds_per_epoch: int = CLOUDS_PER_EPOCH,
     points: int = POINTS_PER_CLOUD,
 ) -> DataSource:
     """Opens folders of training data, each by what lies in it, as one source.
 
     A folder with .normals files is a PCPNet folder: its clouds are those of `list_file`, else of
-    `trainingset_whitenoise.txt` where there is one, else all with normals, corrupted anew in each epoch.
+    `default_list` where there is one, else all with normals, corrupted anew in each epoch.
     Any other folder must hold meshes.
 
     Args:
         paths: Folders.
         synthetic: Adds random procedural solids.
         list_file: Name of the list in the PCPNet folders.
+        default_list: Name of the list where `list_file` is None.
+        weights: Share of each source in the mixture, in the order of `paths`, the solids last; by default as
+            many clouds as it has per epoch.
         clouds_per_epoch: Clouds that a folder of meshes, and the solids, give per epoch.
         points: Largest number of points of a cloud drawn from a mesh or a solid.
 
     Raises:
         InputError: A folder is missing or holds neither, or its list does not fit it.
-        UsageError: There is neither a folder nor `synthetic`.
+        UsageError: There is neither a folder nor `synthetic`, or the weights do not fit them.
     """
     if not paths and not synthetic:
         raise UsageError("there is no training data: give a folder or ask for synthetic solids")
     sources: list[DataSource] = []
     for path in paths:
-        sources.append(_open_folder(Path(path), list_file, clouds_per_epoch, points))
+        path = Path(path)
+        chosen = default_list if list_file is None and (path / default_list).is_file() else list_file
+        sources.append(_open_folder(path, chosen, clouds_per_epoch, points))
     if synthetic:
         sources.append(SyntheticSolids(clouds_per_epoch, points))
-    return sources[0] if len(sources) == 1 else Mixture(sources)
+    return sources[0] if len(sources) == 1 and weights is None else Mixture(sources, weights)
 
 
 def _open_folder(directory: Path, list_file: str | None, clouds_per_epoch: int, points: int) -> DataSource:
     if not directory.is_dir():
         raise InputError(f"{directory}: no such folder")
     if any(directory.glob("*.normals")):
-        if list_file is None and (directory / TRAINING_LIST).is_file():
-            list_file = TRAINING_LIST
         return PcpnetFolder(directory, list_file)
     if _meshes_in(directory):
         return MeshFolder(directory, clouds_per_epoch, points)

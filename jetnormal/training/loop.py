@@ -64,6 +64,7 @@ def train(
     *,
     validation: DataSource | None = None,
     resume: bool = False,
+    tensorboard: bool = False,
 ) -> dict[str, Any]:
     """Trains a network and leaves it in a folder (see `training.run`).
 
@@ -77,20 +78,22 @@ def train(
         options: how to train.
         validation: clouds to validate on after each epoch; None takes held-out clouds of `source`.
         resume: whether to go on from the last saved state in `folder`.
+        tensorboard: whether to write the metrics as TensorBoard events, too.
 
     Returns:
         model (the file), parameters, epochs, patches, seconds, loss terms and validation errors of the last epoch.
 
     Raises:
         InputError: if the folder holds another run, or nothing to resume, or a cloud cannot be used.
-        UsageError: if the run to resume began with other options, or an epoch has less than one batch.
+        UsageError: if the run to resume began with other options, an epoch has less than one batch, or TensorBoard
+            is asked for and not installed.
         ModelError: if the loss is no longer a number.
     """
     torch.manual_seed(options.seed)
     network = PatchFit(config).to(options.device)
     optimizer = torch.optim.Adam(network.parameters(), lr=options.learning_rate, weight_decay=1e-7)
     facts = {"config": dataclasses.asdict(config), "options": dataclasses.asdict(options)}
-    run = Run(folder, json.loads(json.dumps(facts)), network, optimizer)
+    run = Run(folder, json.loads(json.dumps(facts)), network, optimizer, tensorboard)
     sampler = PatchSampler(source, config.neighbors, options.patches_per_cloud, options.batch_size, options.seed)
     if sampler.batches_per_epoch == 0:
         raise UsageError("an epoch has fewer patches than a batch: lower --batch-size or train on more clouds")
@@ -130,7 +133,7 @@ def _train_epoch(run: Run, sampler: PatchSampler, options: TrainOptions) -> dict
             position.patches += options.batch_size
             position.seconds += time.monotonic() - start
             start = time.monotonic()
-            advance(options.batch_size)
+            advance(options.batch_size, f"loss {terms['loss']:.4f}")
             run.save_if_due()
     means = {name: value / position.batch for name, value in position.totals.items()}
     position.epoch, position.batch, position.totals = position.epoch + 1, 0, {}

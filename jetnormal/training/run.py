@@ -1,8 +1,9 @@
 """A training run on disk, and what it takes to go on with it.
 
-    RUN/model.safetensors      the network so far, usable with `jetnormal estimate --model`
-    RUN/state.safetensors      all that a resumed run needs
-    RUN/metrics.csv            one row an epoch
+RUN/model.safetensors      the network so far, usable with `jetnormal estimate --model`
+RUN/state.safetensors      all that a resumed run needs
+RUN/metrics.csv            one row an epoch
+RUN/events.out.tfevents.*  the same for TensorBoard, where it is asked for
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from torch import Tensor
 from jetnormal.errors import InputError, UsageError
 from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
 from jetnormal.networks.patchfit import PatchFit
+from jetnormal.training.events import EventLog
 
 SAVE_INTERVAL = 45.0  # seconds: what a killed run loses at most
 
@@ -52,10 +54,19 @@ class Run:
             same facts.
         network: to be trained.
         optimizer: of the network's parameters.
+        tensorboard: whether to write TensorBoard events.
+
+    Raises:
+        UsageError: if TensorBoard is asked for and not installed.
     """
 
     def __init__(
-        self, folder: Path, facts: dict[str, Any], network: PatchFit, optimizer: torch.optim.Optimizer
+        self,
+        folder: Path,
+        facts: dict[str, Any],
+        network: PatchFit,
+        optimizer: torch.optim.Optimizer,
+        tensorboard: bool = False,
     ) -> None:
         self.folder = folder
         self.facts = facts
@@ -63,6 +74,7 @@ class Run:
         self.optimizer = optimizer
         self.position = Position()
         self._saved = time.monotonic()
+        self._events = EventLog(folder) if tensorboard else None
 
     @property
     def model_path(self) -> Path:
@@ -133,6 +145,8 @@ class Run:
             if new:
                 writer.writeheader()
             writer.writerow({name: f"{value:.6g}" for name, value in row.items()})
+        if self._events:
+            self._events.record(row)
 
     def _restore_optimizer(self, tensors: dict[str, Tensor]) -> None:
         state: dict[int, dict[str, Tensor]] = {}

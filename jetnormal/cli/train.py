@@ -1,0 +1,151 @@
+"""`jetnormal train`: a network from clouds with known normals, from meshes, or from procedural solids."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
+from jetnormal.report import logger, print_json
+
+
+def parse_weights(text: str) -> list[float]:
+    """Turn "20,2,8" into numbers."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not W,W,...: one number per source") from None
+
+
+def train(
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="RUN", help="Folder of the run.")],
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="PCPNet clouds or meshes (.ply .obj .off .stl .npz); repeat it to mix."),
+    ] = None,
+    synthetic: Annotated[bool, typer.Option("--synthetic", help="Train on procedural solids, too.")] = False,
+    weights: Annotated[
+        Any,
+        typer.Option(
+            parser=parse_weights,
+            metavar="W,W,...",
+            help="Shares of the sources: of each --data in turn, then of --synthetic.",
+            show_default="their clouds per epoch",
+        ),
+    ] = None,
+    list_file: Annotated[
+        str | None,
+        typer.Option(
+            "--list",
+            metavar="FILE",
+            help="List of the training clouds in a PCPNet folder.",
+            show_default="trainingset_whitenoise.txt, else all, with noise added",
+        ),
+    ] = None,
+    validation: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Clouds or meshes to validate on.", show_default="held-out training clouds"),
+    ] = None,
+    validation_list: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="List of the validation clouds.", show_default="validationset_whitenoise.txt, else all"
+        ),
+    ] = None,
+    clouds_per_epoch: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Clouds drawn from a folder of meshes, and solids, in an epoch.")
+    ] = 24,
+    points_per_cloud: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Largest number of points drawn from a mesh or a solid.")
+    ] = 100_000,
+    config: Annotated[
+        Literal["paper", "small"], typer.Option(help="Network to start from: as published, or for a CPU.")
+    ] = "paper",
+    neighbors: Annotated[
+        int | None, typer.Option(min=16, metavar="K", help="Points in a patch.", show_default="the configuration's")
+    ] = None,
+    order: Annotated[
+        int | None,
+        typer.Option(min=1, max=4, metavar="N", help="Order of the fitted jet.", show_default="the configuration's"),
+    ] = None,
+    transform: Annotated[
+        Literal["ztransform", "qstn"] | None,
+        typer.Option(help="The paper's z-direction transform, or DeepFit's.", show_default="the configuration's"),
+    ] = None,
+    no_correction: Annotated[
+        bool, typer.Option("--no-correction", help="Leave the normal error estimation out.")
+    ] = False,
+    width: Annotated[
+        float | None,
+        typer.Option(min=0.0625, metavar="F", help="Factor on the channels.", show_default="the configuration's"),
+    ] = None,
+    transform_width: Annotated[
+        float | None,
+        typer.Option(min=0.0625, metavar="F", help="Factor on the transform's.", show_default="the configuration's"),
+    ] = None,
+    epochs: Annotated[int, typer.Option(min=1, metavar="N", help="Passes over the data.")] = 700,
+    patches_per_cloud: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Patches of each cloud in an epoch.")
+    ] = 1000,
+    batch_size: Annotated[int, typer.Option(min=2, metavar="B", help="Patches per step.")] = 256,
+    learning_rate: Annotated[float, typer.Option(min=0, metavar="R", help="Of Adam, at the start.")] = 1e-3,
+    schedule: Annotated[
+        Literal["step", "cosine"], typer.Option(help="A tenth after 3/7 and 11/14 of the epochs, or a cosine to 0.")
+    ] = "step",
+    bfloat16: Annotated[bool, typer.Option("--bfloat16", help="Multiply matrices in bfloat16: faster.")] = False,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of data, order and initial weights.")] = 1,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
+    tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Also write TensorBoard events.")] = False,
+    device: Device = "auto",
+    threads: Threads = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Train a network; the defaults are the paper's.
+
+    RUN gets model.safetensors, which `jetnormal estimate --model` takes, metrics.csv, and what --resume needs.
+    A run is saved every 45 seconds; to go on with it, repeat its options with --resume.
+
+    \b
+    Examples:
+      jetnormal train --data pcpnet -o run
+      jetnormal train --data meshes --config small --schedule cosine --epochs 50 -o run
+      jetnormal train --data meshes --data pcpnet --synthetic --weights 20,2,8 --validation held_out -o run
+      jetnormal train --data pcpnet -o run --resume
+    """
+    set_verbosity(quiet, verbose)
+    from jetnormal._device import resolve_device
+    from jetnormal.estimators import torch_threads
+    from jetnormal.networks.patchfit import CONFIGS
+    from jetnormal.training.datasets import VALIDATION_LIST, open_dataset
+    from jetnormal.training.loop import TrainOptions, train
+
+    open_source = partial(open_dataset, clouds_per_epoch=clouds_per_epoch, points=points_per_cloud)
+    source = open_source(data or [], synthetic=synthetic, weights=weights, list_file=list_file)
+    held_out = None
+    if validation:
+        held_out = open_source([validation], list_file=validation_list, default_list=VALIDATION_LIST)
+    changes = {"neighbors": neighbors, "order": order, "transform": transform, "width": width}
+    changes |= {"transform_width": transform_width, "correction": False if no_correction else None}
+    given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
+    network = dataclasses.replace(CONFIGS[config], **given)
+    options = TrainOptions(
+        epochs=epochs,
+        batch_size=batch_size,
+        learning_rate=learning_rate,
+        schedule=schedule,
+        patches_per_cloud=patches_per_cloud,
+        seed=seed,
+        device=resolve_device(device),
+        bfloat16=bfloat16,
+    )
+    with torch_threads(threads):
+        summary = train(network, source, out, options, validation=held_out, resume=resume, tensorboard=tensorboard)
+    logger.info("the network is %s", summary["model"])
+    if json:
+        print_json(summary)

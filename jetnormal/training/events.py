@@ -1,0 +1,38 @@
+"""Metrics of a training run as TensorBoard events."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jetnormal.errors import UsageError
+
+
+class EventLog:
+    """Writes scalars beside the other files of a run.
+
+    Args:
+        folder: of the run; nothing is written to it before the first record.
+
+    Raises:
+        UsageError: if TensorBoard is not installed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError as error:
+            raise UsageError(
+                f"--tensorboard needs the package tensorboard: pip install 'jetnormal[tensorboard]' ({error})"
+            ) from error
+        self._open = SummaryWriter
+        self._folder = folder
+        self._writer: SummaryWriter | None = None
+
+    def record(self, row: dict[str, float]) -> None:
+        """Appends the metrics of the epoch that `row` names; they replace later ones of an interrupted run."""
+        epoch = int(row["epoch"])
+        if self._writer is None:
+            self._writer = self._open(str(self._folder), purge_step=epoch)
+        for name, value in row.items():
+            self._writer.add_scalar(name, value, epoch)
+        self._writer.flush()
