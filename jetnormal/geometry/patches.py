@@ -13,6 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+COLLINEAR = 1e-12  # ratio of variances below which points count as collinear: a millionth in width
+
 
 @dataclass(frozen=True)
 class Patches:
@@ -22,13 +24,20 @@ class Patches:
         points: (B, k, 3) coordinates in the patch frame, inside the unit ball; the query is the origin and the
             points keep the order of their neighbors (ascending distance).
         frame: (B, 3, 3) rotations whose columns are the patch's principal axes in the cloud's coordinates, by
-            descending variance: ``patch = cloud @ frame`` and ``cloud = patch @ frame.T`` for row vectors.
+            descending variance: `patch = cloud @ frame` and `cloud = patch @ frame.T` for row vectors.
         radius: (B,) distance of the farthest neighbor, in the cloud's unit; 0 where all neighbors coincide.
+        variance: (B, 3) variances of the points along the principal axes, descending, in units of radius^2.
     """
 
     points: Tensor
     frame: Tensor
     radius: Tensor
+    variance: Tensor
+
+    @property
+    def spans_plane(self) -> Tensor:
+        """(B,) bool: whether the points are neither collinear nor coincident, so that there is a normal."""
+        return self.variance[:, 1] > COLLINEAR * self.variance[:, 0]
 
     def to_cloud(self, vectors: Tensor) -> Tensor:
         """Turns one vector per patch, (B, 3), from the patch frame into the cloud's frame."""
@@ -47,8 +56,7 @@ def build_patches(
 ) -> Patches:
     """Gathers patches and brings each into its own frame.
 
-    The query is subtracted in float64, so that georeferenced coordinates lose nothing; what follows needs no more
-    than ``dtype``.
+    All is done in float64, so that georeferenced coordinates lose nothing; the result is rounded to `dtype`.
 
     Args:
         points: (N, 3) the cloud.
@@ -58,13 +66,13 @@ def build_patches(
     """
     offsets = torch.from_numpy(points[neighbors] - points[queries][:, None])  # (B, k, 3)
     radius = offsets.square().sum(2).amax(1).sqrt()
-    unit = (offsets / radius.clamp_min(torch.finfo(torch.float64).tiny)[:, None, None]).to(dtype)
-    frame = principal_frame(unit)
-    return Patches(points=unit @ frame, frame=frame, radius=radius.to(dtype))
+    unit = offsets / radius.clamp_min(torch.finfo(torch.float64).tiny)[:, None, None]
+    frame, variance = principal_frame(unit)
+    return Patches((unit @ frame).to(dtype), frame.to(dtype), radius.to(dtype), variance.to(dtype))
 
 
-def principal_frame(points: Tensor) -> Tensor:
-    """The principal axes of each patch as a proper rotation.
+def principal_frame(points: Tensor) -> tuple[Tensor, Tensor]:
+    """The principal axes of each patch as a proper rotation, and the variances along them.
 
     An axis is only known up to its sign. The signs are taken from the data, so that a turned patch gets a turned
     frame: most of the patch lies at positive z, the third moment along x is positive, and y makes the frame
@@ -74,15 +82,15 @@ def principal_frame(points: Tensor) -> Tensor:
         points: (B, k, 3) with the query at the origin.
 
     Returns:
-        (B, 3, 3) axes as columns, by descending variance.
+        (B, 3, 3) axes as columns and (B, 3) variances, both by descending variance.
     """
     mean = points.mean(1, keepdim=True)
     centred = points - mean
-    _, axes = torch.linalg.eigh(centred.transpose(1, 2) @ centred)  # ascending variance
+    values, axes = torch.linalg.eigh(centred.transpose(1, 2) @ centred / points.shape[1])  # ascending
     x, z = axes[:, :, 2], axes[:, :, 0]
     z = z * sign((mean[:, 0] * z).sum(1, keepdim=True))
-    x = x * sign(torch.einsum("bki,bi->bk", centred, x).pow(3).sum(1, keepdim=True))
-    return torch.stack([x, torch.linalg.cross(z, x), z], dim=2)
+    x = x * sign((centred @ x[:, :, None]).pow(3).sum(1))
+    return torch.stack([x, torch.linalg.cross(z, x), z], dim=2), values.flip(1).clamp_min(0)
 
 
 def sign(values: Tensor) -> Tensor:

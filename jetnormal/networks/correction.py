@@ -30,5 +30,5 @@ class NormalError(nn.Module):
 
     def neighbors(self, features: Tensor, rough: Tensor) -> Tensor:
         """(B, k, C) point features and (B, k, 3) rough unit normals of the neighbors to refined ones."""
-        residual = self.neighbor(torch.cat([features.float(), rough], dim=2)).float().tanh()
+        residual = self.neighbor(torch.cat([features, rough.to(features.dtype)], dim=2)).float().tanh()
         return normalize(rough + residual, dim=2)

@@ -24,6 +24,7 @@ class PatchFitConfig:
         transform: "ztransform" (the paper's) or "qstn" (the baseline's).
         correction: whether the normal error estimation follows the fit.
         width: factor on every channel count.
+        transform_width: factor on the transform's channel counts; None takes `width`.
         feature_transform: whether the weight predictor has PointNet's feature transform.
         light: whether the z-direction transform is its light form.
     """
@@ -33,6 +34,7 @@ class PatchFitConfig:
     transform: str = "ztransform"
     correction: bool = True
     width: float = 1.0
+    transform_width: float | None = None
     feature_transform: bool = True
     light: bool = False
 
@@ -41,7 +43,7 @@ CONFIGS = {
     # As published: 3,734,468 parameters.
     "paper": PatchFitConfig(),
     # What two CPU cores train in an hour or two.
-    "small": PatchFitConfig(width=0.25, feature_transform=False, light=True),
+    "small": PatchFitConfig(width=0.5, transform_width=0.25, feature_transform=False, light=True),
 }
 
 
@@ -75,10 +77,8 @@ class PatchFit(nn.Module):
     def __init__(self, config: PatchFitConfig) -> None:
         super().__init__()
         self.config = config
-        transforms = {
-            "ztransform": lambda: ZTransform(config.width, config.light),
-            "qstn": lambda: QSTN(config.width),
-        }
+        width = config.width if config.transform_width is None else config.transform_width
+        transforms = {"ztransform": lambda: ZTransform(width, config.light), "qstn": lambda: QSTN(width)}
         self.transform = transforms[config.transform]()
         self.weights = DeepFit(config.width, config.feature_transform)
         self.correction = NormalError(self.weights.channels) if config.correction else None

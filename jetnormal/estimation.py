@@ -1,0 +1,252 @@
+"""The main job: a cloud in, the same cloud with oriented unit normals out.
+
+    finite, distinct points -> estimator -> signs -> normals and what else was asked for
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal import formats
+from jetnormal.cloud import Cloud
+from jetnormal.errors import InputError, UsageError
+from jetnormal.report import StageTimer, peak_memory_mb, progress
+
+if TYPE_CHECKING:
+    from jetnormal.estimators import Estimator, Prediction
+
+DEFAULT_MODEL = "deepfit"
+MIN_NETWORK_POINTS = 64  # a smaller cloud is less than a network has ever seen: a jet does better
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class EstimateOptions:
+    """How normals are estimated.
+
+    Attributes:
+        model: "auto" (the default network), a packaged network, "pca", "jet", or a model file; settings may follow
+            a colon (`estimators.make_estimator`).
+        k: neighbors in a patch; None takes the model's.
+        order: of the jet, for "jet".
+        iterations: of a network: from the second on, each normal found replaces the learned z-direction.
+        orient: "auto", "none", "mst", "viewpoint" or "up" (`geometry.orient`). "auto" takes the viewpoint, given
+            or in the file, and "mst" without one.
+        viewpoint: the sensor's position in the cloud's coordinates.
+        curvature: whether to add the attributes curvature (mean), curvature_max and curvature_min.
+        confidence: whether to add the attribute confidence (`estimators.Prediction`).
+        batch_size: patches at a time; None takes the estimator's.
+        device: "auto", "cpu", "cuda" or "cuda:N".
+        threads: CPU threads; None for all cores.
+        encoding: of the written file; None keeps the input's.
+        force: whether an existing output is overwritten.
+    """
+
+    model: str = "auto"
+    k: int | None = None
+    order: int | None = None
+    iterations: int = 1
+    orient: str = "auto"
+    viewpoint: Vector | None = None
+    curvature: bool = False
+    confidence: bool = False
+    batch_size: int | None = None
+    device: str = "auto"
+    threads: int | None = None
+    encoding: str | None = None
+    force: bool = False
+
+
+@overload
+def estimate(points: NDArray[Any], **options: Any) -> NDArray[np.float64]: ...
+@overload
+def estimate(points: Cloud, **options: Any) -> Cloud: ...
+def estimate(points: NDArray[Any] | Cloud, **options: Any) -> NDArray[np.float64] | Cloud:
+    """Estimates oriented unit normals.
+
+    Args:
+        points: (N, 3) coordinates, or a cloud.
+        **options: the fields of `EstimateOptions`, such as `model="deepfit"` or `orient="mst"`.
+
+    Returns:
+        For coordinates, (N, 3) float64 normals; for a cloud, a new one with normals and the attributes asked for.
+        A row is NaN where a point is not finite or its neighbors are collinear or coincide.
+
+    Raises:
+        InputError: fewer than three different finite points.
+        UsageError: an option is out of range or contradicts another.
+        ModelError: there is no such model.
+        ResourceError: the device is not there.
+    """
+    cloud = points if isinstance(points, Cloud) else Cloud(np.asarray(points, dtype=np.float64))
+    result, _ = _estimate_cloud(cloud, EstimateOptions(**options), StageTimer())
+    if isinstance(points, Cloud):
+        return result
+    assert result.normals is not None
+    return result.normals
+
+
+def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[str, Any]:
+    """Reads a cloud, estimates its normals and writes it with them.
+
+    Args:
+        source: the file to read.
+        target: the file to write; its suffix tells the format.
+        options: how.
+
+    Returns:
+        A summary: input, output, points, valid (with a normal), model, orient, seconds (by stage),
+        points_per_second (of estimation and orientation), peak_memory_mb, warnings.
+
+    Raises:
+        InputError: a file cannot be read or written, or the cloud has no three different finite points.
+        UsageError, ModelError, ResourceError: as `estimate`.
+    """
+    timer = StageTimer()
+    formats.check_target(target, overwrite=options.force)
+    with timer.stage("read"):
+        cloud = formats.read(source)
+    try:
+        result, facts = _estimate_cloud(cloud, options, timer)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    busy = timer.seconds["estimate"] + timer.seconds["orient"]
+    with timer.stage("write"):
+        warnings = facts["warnings"] + formats.write(
+            result, target, encoding=options.encoding, overwrite=options.force
+        )
+    return {
+        "input": str(source),
+        "output": str(target),
+        "points": len(cloud),
+        **facts,
+        "seconds": {name: round(seconds, 3) for name, seconds in timer.seconds.items()},
+        "points_per_second": round(facts["valid"] / busy) if busy else None,
+        "peak_memory_mb": peak_memory_mb(),
+        "warnings": warnings,
+    }
+
+
+def _estimate_cloud(cloud: Cloud, options: EstimateOptions, timer: StageTimer) -> tuple[Cloud, dict[str, Any]]:
+    """The cloud with normals and attributes, and valid, model, orient and warnings of the summary."""
+    from jetnormal.geometry.orient import orient
+
+    method, viewpoint = _orientation(options, cloud)
+    with timer.stage("clean"):
+        rows = np.flatnonzero(cloud.valid)
+        points, copies = _distinct(cloud.points[rows])
+    if len(points) < 3:
+        raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
+    with timer.stage("model"):
+        estimator, warnings = _estimator_for(options, len(points))
+    with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
+        prediction = estimator(points, advance=advance)
+    with timer.stage("orient"):
+        normals = orient(points, prediction.normals, method, viewpoint=viewpoint)
+
+    full_normals = _spread(normals.astype(np.float64), copies, rows, len(cloud))
+    attributes = cloud.attributes | {
+        name: _spread(values, copies, rows, len(cloud))
+        for name, values in _attributes(prediction, normals, options).items()
+    }
+    valid = int(np.isfinite(full_normals).all(axis=1).sum())
+    warnings += _gaps(len(cloud) - len(rows), len(rows) - valid)
+    source = cloud.source
+    if source.normal_dtype is not None:  # the old normals' precision; the new ones are float32
+        source = replace(source, normal_dtype=np.dtype(np.float32))
+    result = Cloud(cloud.points, full_normals, attributes, source)
+    return result, {"valid": valid, "model": estimator.name, "orient": method, "warnings": warnings}
+
+
+def _estimator_for(options: EstimateOptions, count: int) -> tuple[Estimator, list[str]]:
+    """The estimator for a cloud of so many points, and what to say if it is not quite the one asked for."""
+    from jetnormal.estimators import make_estimator
+
+    model = DEFAULT_MODEL if options.model == "auto" else options.model
+    iterations = options.iterations if options.iterations != 1 else None
+    common: dict[str, Any] = {"batch_size": options.batch_size, "device": options.device, "threads": options.threads}
+    estimator = make_estimator(model, k=options.k, order=options.order, iterations=iterations, **common)
+    if options.curvature and estimator.name.startswith("pca"):
+        raise UsageError("pca fits a plane, which has no curvature; choose a network or jet")
+    if count >= estimator.neighbors:
+        return estimator, []
+    if count < MIN_NETWORK_POINTS and not estimator.name.startswith(("pca", "jet")):
+        jet = make_estimator("jet", k=max(3, count), **common)
+        return jet, [f"{count} points are too few for {estimator.name}: a jet was fitted to all of them instead"]
+    return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
+
+
+def _orientation(options: EstimateOptions, cloud: Cloud) -> tuple[Any, Vector | None]:
+    """The method that settles the signs, and its viewpoint."""
+    from jetnormal.geometry.orient import choose_method
+
+    known = cloud.source.viewpoint
+    viewpoint = options.viewpoint
+    if viewpoint is not None and not np.isfinite(viewpoint).all():
+        raise UsageError("--viewpoint takes three finite numbers")
+    if viewpoint is not None and options.orient not in ("auto", "viewpoint"):
+        raise UsageError(f"--viewpoint contradicts --orient {options.orient}: leave one of them out")
+    if viewpoint is None and known is not None:
+        viewpoint = (known[0], known[1], known[2])
+    if options.orient == "viewpoint" and viewpoint is None:
+        raise UsageError("--orient viewpoint needs --viewpoint X,Y,Z: the file does not tell one")
+    if options.orient != "auto":
+        return options.orient, viewpoint
+    return ("viewpoint" if options.viewpoint is not None else choose_method(known)), viewpoint
+
+
+def _distinct(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The different points among (N, 3), in the order of their first occurrence, and for each row its place there.
+
+    A patch of copies of one point would know nothing of the surface.
+    """
+    order = np.lexsort(points.T)
+    new = np.ones(len(points), dtype=bool)
+    new[1:] = (np.diff(points[order], axis=0) != 0).any(axis=1)
+    first = np.minimum.reduceat(order, np.flatnonzero(new)) if len(points) else order
+    group = np.empty(len(points), dtype=np.int64)
+    group[order] = np.cumsum(new) - 1
+    place = np.empty(len(first), dtype=np.int64)
+    place[np.argsort(first)] = np.arange(len(first))
+    return points[np.sort(first)], place[group]
+
+
+def _spread(
+    values: NDArray[Any], copies: NDArray[np.int64], rows: NDArray[np.int64], count: int
+) -> NDArray[Any]:
+    """Values of the distinct points as values of all rows of the cloud, NaN where there are none."""
+    full = np.full((count, *values.shape[1:]), np.nan, dtype=values.dtype)
+    full[rows] = values[copies]
+    return full
+
+
+def _attributes(
+    prediction: Prediction, normals: NDArray[np.float32], options: EstimateOptions
+) -> dict[str, NDArray[np.float32]]:
+    """The per-point results asked for beside the normals."""
+    found = {}
+    if options.curvature and prediction.curvatures is not None:
+        # a normal that was turned round sees every bend from the other side
+        turned = (normals * prediction.normals).sum(axis=1) < 0
+        high, low = prediction.curvatures.T
+        found["curvature"] = (high + low) / 2 * np.where(turned, -1, 1).astype(np.float32)
+        found["curvature_max"] = np.where(turned, -low, high)
+        found["curvature_min"] = np.where(turned, -high, low)
+    if options.confidence:
+        found["confidence"] = prediction.confidence
+    return found
+
+
+def _gaps(non_finite: int, degenerate: int) -> list[str]:
+    warnings = []
+    if non_finite:
+        warnings.append(f"{non_finite} points have no finite coordinates; their normals are NaN")
+    if degenerate:
+        warnings.append(f"{degenerate} points have collinear neighbors, which span no plane; their normals are NaN")
+    return warnings

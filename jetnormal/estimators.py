@@ -1,0 +1,296 @@
+"""Estimators: anything that turns points into unoriented normals, patch by patch, in bounded memory.
+
+The classical ones fit a plane (`pca`) or a jet (`jet`) to each patch; a learned one (`PatchFit`) also turns it,
+weighs its points and corrects the result. `make_estimator` builds each from a text such as "pca:k=112".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from jetnormal._device import resolve_device
+from jetnormal.errors import UsageError
+from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
+from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.geometry.patches import Patches, build_patches
+from jetnormal.networks.checkpoint import load_model
+from jetnormal.networks.patchfit import PatchFit
+
+CHUNK_POINTS = 1_000_000  # neighbors gathered at a time, about 100 MB
+Advance = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What an estimator says of Q queries.
+
+    Attributes:
+        normals: (Q, 3) float32 unit vectors of arbitrary sign; NaN where the neighbors are collinear or coincide.
+        rough: (Q, 3) float32 unit vectors before the last step: of the plane for `jet`, of the weighted jet for a
+            corrected network; their sign is that of the normals.
+        confidence: (Q,) float32 in [0, 1]: how far the last step agreed with the one before it, 1 - angle / 90
+            degrees between rough and final normal; for `pca`, 1 - 3 times the surface variation.
+        curvatures: (Q, 2) float32 principal curvatures, the larger first, in the inverse of the cloud's unit,
+            positive where the surface bends towards the normal; None for a plane.
+    """
+
+    normals: NDArray[np.float32]
+    rough: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    curvatures: NDArray[np.float32] | None
+
+
+class Estimator(Protocol):
+    """Points in, unoriented normals out."""
+
+    @property
+    def name(self) -> str:
+        """What the estimator is called, with its settings."""
+        ...
+
+    @property
+    def neighbors(self) -> int:
+        """Points in a patch; a smaller cloud gets patches of all its points."""
+        ...
+
+    def __call__(
+        self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
+    ) -> Prediction:
+        """Estimates normals.
+
+        Args:
+            points: (N, 3) finite coordinates, N >= 3.
+            queries: (Q,) indices of the points to estimate; None means all.
+            advance: called with the number of points just done.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Normals of a batch in the patch frame, and curvatures in units of 1 / radius."""
+
+    normals: Tensor
+    rough: Tensor
+    confidence: Tensor
+    curvatures: Tensor | None
+
+
+@dataclass(frozen=True)
+class PatchEstimator:
+    """The common part of all estimators that look at one patch at a time.
+
+    Attributes:
+        name: what it is called.
+        neighbors: points in a patch.
+        fit: what it does to a batch of patches.
+        batch_size: patches fitted at a time.
+        device: where they are fitted.
+        threads: CPU threads; None for all cores.
+    """
+
+    name: str
+    neighbors: int
+    fit: Callable[[Patches], _Fit]
+    batch_size: int
+    device: str = "cpu"
+    threads: int | None = None
+
+    def __call__(
+        self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
+    ) -> Prediction:
+        """See `Estimator`."""
+        queries = np.arange(len(points)) if queries is None else queries
+        k = min(self.neighbors, len(points))
+        index = NeighborIndex(points, threads=self.threads)
+        parts = []
+        with torch.inference_mode(), torch_threads(self.threads):
+            for chunk in _split(queries, max(self.batch_size, CHUNK_POINTS // k)):
+                found, _ = index.query(points[chunk], k)
+                found[:, 0] = chunk  # of coincident points, another may come first
+                for start in range(0, len(chunk), self.batch_size):
+                    batch = slice(start, start + self.batch_size)
+                    parts.append(self._predict(build_patches(points, chunk[batch], found[batch])))
+                    if advance:
+                        advance(len(chunk[batch]))
+        return _joined(parts)
+
+    def _predict(self, patches: Patches) -> Prediction:
+        fit = self.fit(replace(patches, points=patches.points.to(self.device)))
+        sound = patches.spans_plane
+        nowhere = torch.where(sound, 1.0, torch.nan)
+
+        def finish(values: Tensor) -> NDArray[np.float32]:
+            return (values * nowhere[:, None]).numpy()
+
+        curvatures = None
+        if fit.curvatures is not None:
+            curvatures = finish(fit.curvatures.cpu() / patches.radius[:, None])
+        return Prediction(
+            normals=finish(patches.to_cloud(fit.normals.cpu())),
+            rough=finish(patches.to_cloud(fit.rough.cpu())),
+            confidence=(fit.confidence.cpu().clamp(0, 1) * sound).numpy(),
+            curvatures=curvatures,
+        )
+
+
+def pca_estimator(k: int = 30, batch_size: int | None = None, threads: int | None = None) -> PatchEstimator:
+    """The normal of the plane through each point's k neighbors (Hoppe et al., 1992)."""
+
+    def fit(patches: Patches) -> _Fit:
+        normals = torch.tensor([0.0, 0.0, 1.0]).expand(len(patches.points), 3)
+        surface_variation = patches.variance[:, 2] / patches.variance.sum(1).clamp_min(1e-30)
+        return _Fit(normals, normals, 1 - 3 * surface_variation, None)
+
+    return PatchEstimator(f"pca:k={k}", _checked_k(k), fit, batch_size or 8192, threads=threads)
+
+
+def jet_estimator(
+    k: int = 60, order: int = 2, batch_size: int | None = None, threads: int | None = None
+) -> PatchEstimator:
+    """The normal of a jet fitted to each point's k neighbors over their plane (Cazals and Pouget, 2005)."""
+    if not 1 <= order <= MAX_ORDER:
+        raise UsageError(f"the order of a jet is 1 to {MAX_ORDER}, not {order}")
+
+    def fit(patches: Patches) -> _Fit:
+        jet = fit_jet(patches.points, None, _order_for(patches.points.shape[1], order))
+        rough = torch.tensor([0.0, 0.0, 1.0]).expand(len(patches.points), 3)
+        return _Fit(jet.normal, rough, agreement(rough, jet.normal), jet.curvatures()[0])
+
+    return PatchEstimator(f"jet:k={k},order={order}", _checked_k(k), fit, batch_size or 1024, threads=threads)
+
+
+def network_estimator(
+    name: str,
+    network: PatchFit,
+    k: int | None = None,
+    iterations: int = 1,
+    batch_size: int | None = None,
+    device: str = "cpu",
+    threads: int | None = None,
+) -> PatchEstimator:
+    """A patch network; `k` overrides the patch size that it was trained with."""
+    network = network.to(device)
+
+    def fit(patches: Patches) -> _Fit:
+        found = network(patches.points, iterations=iterations)
+        before = found.rough if network.correction is not None else found.rotation[:, :, 2]
+        before = before * torch.where((before * found.refined).sum(1, keepdim=True) < 0, -1.0, 1.0)
+        return _Fit(found.refined, before, agreement(before, found.refined), found.jet.curvatures()[0])
+
+    return PatchEstimator(name, _checked_k(k or network.config.neighbors), fit, batch_size or 128, device, threads)
+
+
+def agreement(before: Tensor, after: Tensor) -> Tensor:
+    """(B,) share of a right angle that two directions, (B, 3) unit vectors, are not apart: 1 - angle / 90 degrees."""
+    sine = torch.linalg.cross(before, after).square().sum(1).sqrt()
+    cosine = (before * after).sum(1).abs()
+    return 1 - torch.atan2(sine, cosine) / (math.pi / 2)
+
+
+def make_estimator(
+    model: str,
+    *,
+    k: int | None = None,
+    order: int | None = None,
+    iterations: int | None = None,
+    batch_size: int | None = None,
+    device: str = "auto",
+    threads: int | None = None,
+) -> PatchEstimator:
+    """Builds an estimator from its name.
+
+    Args:
+        model: "pca", "jet", a packaged network or a model file; settings may follow a colon, as in
+            "jet:k=122,order=2" or "deepfit:iterations=2".
+        k: neighbors in a patch.
+        order: of the jet; only for "jet".
+        iterations: of a network; see `PatchFit.forward`.
+        batch_size: patches at a time.
+        device: "auto", "cpu", "cuda" or "cuda:N", for networks.
+        threads: CPU threads.
+
+    Raises:
+        UsageError: a setting is unknown, out of range, or given to a model without it.
+        ModelError: there is no such model, or its file is damaged.
+        ResourceError: the device is not there.
+    """
+    name, settings = _parse(model)
+    given = {"k": k, "order": order, "iterations": iterations} | settings
+    chosen: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    common: dict[str, Any] = {"batch_size": batch_size, "threads": threads}
+    if name == "pca":
+        return pca_estimator(**_only(chosen, name, "k"), **common)
+    if name == "jet":
+        return jet_estimator(**_only(chosen, name, "k", "order"), **common)
+    _only(chosen, name, "k", "iterations")
+    if chosen.get("iterations", 1) < 1:
+        raise UsageError("iterations must be at least 1")
+    return network_estimator(model, load_model(name), **chosen, **common, device=resolve_device(device))
+
+
+def _parse(model: str) -> tuple[str, dict[str, int]]:
+    """Splits "name:key=value,..." at its last colon; a path may hold colons of its own."""
+    name, colon, text = model.rpartition(":")
+    if not colon or "=" not in text or Path(model).exists():
+        return model, {}
+    settings = {}
+    for item in text.split(","):
+        key, _, value = item.partition("=")
+        if key not in ("k", "order", "iterations") or not value.isdigit():
+            raise UsageError(f"{model}: {item!r} is no setting; write k=, order= or iterations= and a number")
+        settings[key] = int(value)
+    return name, settings
+
+
+def _only(chosen: dict[str, Any], model: str, *allowed: str) -> dict[str, Any]:
+    """The chosen settings, all of which the model must have; one iteration is what every model does."""
+    for key in chosen:
+        if key not in allowed and not (key == "iterations" and chosen[key] == 1):
+            raise UsageError(f"the model {model} has no setting {key}; it takes {' and '.join(allowed)}")
+    return {key: value for key, value in chosen.items() if key in allowed}
+
+
+def _checked_k(k: int) -> int:
+    if k < 3:
+        raise UsageError(f"k must be at least 3, not {k}: fewer points span no plane")
+    return k
+
+
+def _order_for(points: int, order: int) -> int:
+    """The largest order up to `order` whose jet has no more monomials than there are points."""
+    return max((n for n in range(1, order + 1) if len(exponents(n)) <= points), default=1)
+
+
+def _split(values: NDArray[np.int64], size: int) -> Iterator[NDArray[np.int64]]:
+    return (values[start : start + size] for start in range(0, len(values), size))
+
+
+def _joined(parts: list[Prediction]) -> Prediction:
+    def join(name: str) -> Any:
+        arrays = [getattr(part, name) for part in parts]
+        return None if not arrays or arrays[0] is None else np.concatenate(arrays)
+
+    return Prediction(join("normals"), join("rough"), join("confidence"), join("curvatures"))
+
+
+@contextmanager
+def torch_threads(threads: int | None) -> Iterator[None]:
+    """Runs PyTorch on a number of CPU threads inside the block; None leaves it alone."""
+    before = torch.get_num_threads()
+    if threads:
+        torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
