@@ -20,17 +20,26 @@ def check_target(path: Path, overwrite: bool) -> None:
         InputError: if the file exists and may not be overwritten, if it is not a regular file, or if its
             folder is missing or not writable.
     """
-    folder = path.resolve().parent
+    try:
+        problem = _find_problem(path, path.resolve().parent, overwrite)
+    except OSError as error:  # the name is too long, a folder on the way may not be entered
+        problem = f"cannot be written ({error.strerror or error}); choose another output"
+    if problem:
+        raise InputError(f"{path}: {problem}")
+
+
+def _find_problem(path: Path, folder: Path, overwrite: bool) -> str | None:
     if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file in it")
+        return "is a folder; name a file in it"
     if path.exists() and not path.is_file():
-        raise InputError(f"{path}: is not a regular file; choose another output")
+        return "is not a regular file; choose another output"
     if path.exists() and not overwrite:
-        raise InputError(f"{path}: already exists; use --force to overwrite it or choose another name")
+        return "already exists; use --force to overwrite it or choose another name"
     if not folder.is_dir():
-        raise InputError(f"{path}: the folder {folder} does not exist; create it first")
+        return f"the folder {folder} does not exist; create it first"
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(f"{path}: the folder {folder} is not writable; choose another output")
+        return f"the folder {folder} is not writable; choose another output"
+    return None
 
 
 @contextmanager

@@ -50,6 +50,8 @@ def read_element(stream: BinaryIO, element: Element, encoding: str, path: Path, 
 
 
 def _take(stream: BinaryIO, size: int) -> bytes:
+    if size < 0:
+        raise ValueError("a list has a negative length")
     data = stream.read(size)
     if len(data) != size:
         raise ValueError("the file is truncated")

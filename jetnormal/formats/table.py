@@ -95,6 +95,8 @@ def _fits(text: str, dtype: np.dtype[Any]) -> bool:
         value = parse(text)
     except ValueError:
         return False
+    if "_" in text:  # fine in Python's numbers alone
+        return False
     return dtype.kind == "f" or np.iinfo(dtype).min <= value <= np.iinfo(dtype).max
 
 

@@ -74,7 +74,12 @@ def test_a_link_is_followed_and_permissions_are_kept(tmp_path):
 
 @pytest.mark.parametrize(
     ("target", "message"),
-    [("folder", "is a folder"), ("missing/a", "does not exist"), ("pipe", "not a regular file")],
+    [
+        ("folder", "is a folder"),
+        ("missing/a", "does not exist"),
+        ("pipe", "not a regular file"),
+        ("n" * 300, "too long"),
+    ],
 )
 def test_unsuitable_targets(tmp_path, target, message):
     (tmp_path / "folder").mkdir()

@@ -229,6 +229,10 @@ BAD = {
     "ascii huge count": (ascii_ply("1 2 3\n", 10**15).encode(), "only|declares 1000000000000000"),
     "binary truncated": (BINARY.format(2).encode() + b"\0" * 23, "need at least 24 bytes, but 23"),
     "binary huge count": (BINARY.format(10**15).encode() + b"\0" * 24, "declares 1000000000000000"),
+    "a list of negative length": (
+        BINARY.format(1).replace("end_header", "property list char int l\nend_header").encode() + b"\xff" * 16,
+        "element 'vertex': a list has a negative length",
+    ),
     "a list with too few numbers": (
         ascii_ply("3 1 2 3 0 0\n", 1, "list uchar float l|float x|float y|float z").encode(),
         "'3 1 2 3 0 0' has too few values",

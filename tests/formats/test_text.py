@@ -157,6 +157,7 @@ BAD = {
     "two columns": (b"1 2\n3 4\n", "line 1: 2 values; x, y and z are needed"),
     "word": (b"1 2 3\n4 five 6\n", "line 2: 'five' is not a number"),
     "word below a comment": (b"1 2 3\n# note\n\n4 five 6\n", "line 4: 'five' is not a number"),
+    "underscore": (b"1 2 3\n4 5 1_000\n", "line 2: '1_000' is not a number"),
     "word at once": (b"1 two 3\n", "line 1: 'two' is not a number"),
     "short row": (b"1 2 3\n4 5\n7 8 9\n", "line 2: 2 values instead of 3"),
     "long row": (b"1,2,3\n4,5,6,7\n", "line 2: 4 values instead of 3"),
