@@ -49,8 +49,9 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             text = file.metadata() or {}
             if text.get("format") != FORMAT:
                 raise ModelError(f"{path}: not a model of jetnormal; train one with `jetnormal train`")
-            return {name: file.get_tensor(name) for name in file.keys()}, json.loads(text["description"])  # noqa: SIM118
-    except (SafetensorError, OSError, KeyError, ValueError) as error:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return tensors, dict(json.loads(text["description"]))
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: damaged or not a safetensors file ({error})") from error
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor, nn
 
-from jetnormal.geometry.jet import Jet, fit_jet
+from jetnormal.geometry.jet import MAX_ORDER, Jet, fit_jet
 from jetnormal.networks.correction import NormalError
 from jetnormal.networks.deepfit import DeepFit
 from jetnormal.networks.layers import PointLayer, full_precision
@@ -27,6 +28,9 @@ class PatchFitConfig:
         transform_width: factor on the transform's channel counts; None takes `width`.
         feature_transform: whether the weight predictor has PointNet's feature transform.
         light: whether the z-direction transform is its light form.
+
+    Raises:
+        ValueError: if a number is out of range.
     """
 
     neighbors: int = 256
@@ -37,6 +41,15 @@ class PatchFitConfig:
     transform_width: float | None = None
     feature_transform: bool = True
     light: bool = False
+
+    def __post_init__(self) -> None:
+        if self.neighbors < 3:
+            raise ValueError(f"a patch has 3 points or more, not {self.neighbors}")
+        if not 1 <= self.order <= MAX_ORDER:
+            raise ValueError(f"the order of a jet is 1 to {MAX_ORDER}, not {self.order}")
+        for width in (self.width, 1.0 if self.transform_width is None else self.transform_width):
+            if not (width > 0 and math.isfinite(width)):
+                raise ValueError(f"the width of a network is a positive number, not {width}")
 
 
 CONFIGS = {
