@@ -1,0 +1,194 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+import pickle
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from jetnormal.errors import InputError, ModelError
+from jetnormal.networks.checkpoint import load_model, load_tensors, packaged_names, resolve, save_model, save_tensors
+from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
+
+CONFIG = PatchFitConfig(neighbors=16, width=0.125, order=2, light=True)
+
+
+@pytest.fixture
+def network():
+    torch.manual_seed(0)
+    network = PatchFit(CONFIG)
+    with torch.no_grad():
+        for value in network.state_dict().values():
+            if value.is_floating_point():
+                value.add_(0.05 * torch.rand_like(value))
+    return network
+
+
+@pytest.fixture
+def saved(tmp_path, network):
+    path = tmp_path / "model.safetensors"
+    save_model(path, network, {"patches": 7})
+    return path
+
+
+def rewritten(path, change):
+    """The file with its tensors and description changed by a function."""
+    tensors, description = load_tensors(path)
+    change(tensors, description)
+    save_tensors(path, tensors, description)
+    return path
+
+
+def test_a_loaded_network_predicts_the_same_to_the_bit(saved, network):
+    points = torch.randn(3, 16, 3)
+    loaded = load_model(saved)
+    assert loaded.config == CONFIG
+    assert not loaded.training
+    expected = network.for_inference()(points)
+    assert torch.equal(loaded(points).refined, expected.refined)
+    assert torch.equal(loaded(points).weights, expected.weights)
+
+
+def test_a_file_holds_its_configuration_as_json(saved):
+    tensors, description = load_tensors(saved)
+    assert description["architecture"] == "patchfit"
+    assert description["config"] == dataclasses.asdict(CONFIG)
+    assert description["training"] == {"patches": 7}
+    assert tensors["weights.weight.bias"].dtype == torch.float32
+    header = json.loads(saved.read_bytes()[8 : 8 + int.from_bytes(saved.read_bytes()[:8], "little")])
+    assert json.loads(header["__metadata__"]["description"]) == description
+
+
+def test_every_setting_survives(tmp_path):
+    config = PatchFitConfig(
+        neighbors=20,
+        order=4,
+        transform="qstn",
+        correction=False,
+        width=0.125,
+        transform_width=0.25,
+        feature_transform=False,
+        light=True,
+    )
+    assert all(getattr(config, f.name) != f.default for f in dataclasses.fields(config))
+    save_model(tmp_path / "a.safetensors", PatchFit(config), {})
+    assert load_model(tmp_path / "a.safetensors").config == config
+
+
+def test_saving_replaces_a_file_and_leaves_nothing_beside_it(saved, network):
+    save_model(saved, network, {"patches": 8})
+    assert load_tensors(saved)[1]["training"] == {"patches": 8}
+    assert [path.name for path in saved.parent.iterdir()] == [saved.name]
+
+
+def test_a_target_that_cannot_be_written(tmp_path, network):
+    with pytest.raises(InputError):
+        save_model(tmp_path / "missing" / "model.safetensors", network, {})
+
+
+def test_missing_files_are_named(tmp_path):
+    for name in (tmp_path / "no.safetensors", "no-such-model"):
+        with pytest.raises(ModelError, match=f"{name}: neither a packaged model"):
+            load_model(name)
+    with pytest.raises(ModelError, match="no such model file"):
+        load_tensors(tmp_path / "no.safetensors")
+    with pytest.raises(ModelError):
+        load_model(tmp_path)  # a folder
+
+
+@pytest.mark.parametrize("size", [0, 4, 100, -1])
+def test_truncated_files_are_refused(saved, size):
+    content = saved.read_bytes()
+    saved.write_bytes(content[:size])
+    with pytest.raises(ModelError, match=r"model\.safetensors: damaged"):
+        load_model(saved)
+
+
+def test_damaged_headers_are_refused(saved):
+    content = bytearray(saved.read_bytes())
+    content[20:40] = b"\xff" * 20
+    saved.write_bytes(content)
+    with pytest.raises(ModelError, match="damaged"):
+        load_model(saved)
+
+
+@pytest.mark.parametrize("writer", ["pickle", "torch"])
+def test_a_renamed_pickle_is_refused_and_not_run(tmp_path, writer):
+    path = tmp_path / "model.safetensors"
+    marker = tmp_path / "ran"
+
+    class Payload:
+        def __reduce__(self):
+            return (marker.touch, ())
+
+    if writer == "pickle":
+        path.write_bytes(pickle.dumps(Payload()))
+    else:
+        torch.save({"a": Payload()}, path)
+    with pytest.raises(ModelError, match="not a safetensors file"):
+        load_model(path)
+    assert not marker.exists()
+
+
+def test_files_of_other_programs_are_refused(tmp_path, saved):
+    foreign = tmp_path / "foreign.safetensors"
+    save_file(load_file(saved), foreign)
+    with pytest.raises(ModelError, match="not a model of jetnormal"):
+        load_model(foreign)
+    save_file(load_file(saved), foreign, metadata={"format": "pt"})
+    with pytest.raises(ModelError, match="not a model of jetnormal"):
+        load_model(foreign)
+
+
+def test_files_without_a_network_are_refused(tmp_path):
+    path = tmp_path / "state.safetensors"
+    save_tensors(path, {"a": torch.zeros(3)}, {"position": {}})
+    with pytest.raises(ModelError, match="holds no network"):
+        load_model(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tensors, about: tensors.update({"weights.weight.bias": torch.zeros(2)}),
+        lambda tensors, about: tensors.pop("weights.weight.bias"),
+        lambda tensors, about: tensors.update({"unknown": torch.zeros(2)}),
+        lambda tensors, about: about["config"].update(width=0.25),
+        lambda tensors, about: about["config"].update(transform="spline"),
+        lambda tensors, about: about["config"].update(depth=3),
+        lambda tensors, about: about["config"].update(width=None),
+        lambda tensors, about: about["config"].update(width=float("inf")),
+        lambda tensors, about: about["config"].update(order=7),
+        lambda tensors, about: about["config"].update(neighbors=0),
+        lambda tensors, about: about.update(config=None),
+        lambda tensors, about: about.pop("config"),
+    ],
+    ids=[
+        "shape", "missing", "unknown", "width", "transform", "setting", "no width", "infinite width", "order",
+        "neighbors", "no settings", "no configuration",
+    ],
+)  # fmt: skip
+def test_weights_and_configurations_that_do_not_fit_are_refused(saved, change):
+    with pytest.raises(ModelError, match=r"model\.safetensors: its configuration and its weights do not fit"):
+        load_model(rewritten(saved, change))
+
+
+def test_a_description_that_is_no_table_is_refused(saved):
+    save_tensors(saved, load_file(saved), ["patchfit"])
+    with pytest.raises(ModelError):
+        load_model(saved)
+
+
+def test_a_packaged_name_goes_before_a_path(tmp_path, monkeypatch, saved):
+    (tmp_path / "models").mkdir()
+    packaged = tmp_path / "models" / "tiny.safetensors"
+    saved.rename(packaged)
+    monkeypatch.setattr("jetnormal.networks.checkpoint.model_directory", lambda: tmp_path / "models")
+    assert packaged_names() == ["tiny"]
+    assert resolve("tiny") == packaged
+    assert resolve(packaged) == packaged
+    assert load_model("tiny").config == CONFIG
+    with pytest.raises(ModelError, match=r"other: neither a packaged model \(tiny\) nor a model file"):
+        resolve("other")
