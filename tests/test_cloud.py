@@ -37,5 +37,5 @@ def test_two_clouds_share_no_attributes():
     ],
 )
 def test_arrays_without_one_row_per_point_are_refused(arguments):
-    with pytest.raises(ValueError, match="point|normals|shape"):
+    with pytest.raises(ValueError, match=r"point|normals|shape"):
         Cloud(**arguments)

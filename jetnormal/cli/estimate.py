@@ -39,7 +39,9 @@ def estimate(
         int | None,
         typer.Option(min=1, metavar="N", help="Order of the fitted jet.", show_default="the model's"),
     ] = None,
-    iterations: Annotated[int, typer.Option(min=1, metavar="N", help="Fits per patch; from the second on, the normal found is the z axis.")] = 1,
+    iterations: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Fits per patch; each takes the normal of the last as its z axis.")
+    ] = 1,
     orient: Annotated[
         Literal["auto", "none", "mst", "viewpoint", "up"], typer.Option(help="How the signs are chosen.")
     ] = "auto",
