@@ -18,7 +18,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from jetnormal.errors import InputError, UsageError
+from jetnormal.errors import InputError, ModelError, UsageError
+from jetnormal.formats.atomic import atomic_write
 from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
 from jetnormal.networks.patchfit import PatchFit
 from jetnormal.training.events import EventLog
@@ -113,12 +114,18 @@ class Run:
         if not self._state_path.is_file():
             raise InputError(f"{self.folder}: there is no run to resume; leave --resume out to start one")
         tensors, description = load_tensors(self._state_path)
+        if "facts" not in description:
+            raise ModelError(f"{self._state_path}: is not the state of a run; start one without --resume")
         changed = _differences(description["facts"], self.facts)
         if changed:
             raise UsageError(f"{self.folder}: the run began with other options ({', '.join(changed)})")
-        self.position = Position(**description["position"])
-        self.network.load_state_dict(_part(tensors, "network."))
-        self._restore_optimizer(tensors)
+        try:
+            self.position = Position(**description["position"])
+            self.network.load_state_dict(_part(tensors, "network."))
+            self._restore_optimizer(tensors)
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            reason = str(error).splitlines()[0]
+            raise ModelError(f"{self._state_path}: damaged ({reason}); start the run anew in another folder") from error
         self._drop_metrics_after(self.position.epoch)
 
     def save_if_due(self) -> None:
@@ -127,26 +134,34 @@ class Run:
             self.save()
 
     def save(self) -> None:
-        """Writes the state, and the network on its own, each atomically."""
+        """Writes the network on its own and the state, each atomically; the state last, for a resumed run trusts it."""
+        training = self.facts | {"patches": self.position.patches, "seconds": round(self.position.seconds)}
+        save_model(self.model_path, self.network, training)
         tensors = {f"network.{name}": value for name, value in self.network.state_dict().items()}
         for index, values in self.optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{index}.{name}": value for name, value in values.items()}
         description = {"facts": self.facts, "position": dataclasses.asdict(self.position)}
         save_tensors(self._state_path, tensors, description)
-        training = self.facts | {"patches": self.position.patches, "seconds": round(self.position.seconds)}
-        save_model(self.model_path, self.network, training)
         self._saved = time.monotonic()
 
     def record(self, row: dict[str, float]) -> None:
         """Appends an epoch's metrics to the table."""
-        new = not self._metrics_path.exists()
+        columns = list(self.last_record() or row)  # a resumed run has its terms in another order
         with self._metrics_path.open("a", newline="") as stream:
-            writer = csv.DictWriter(stream, row)
-            if new:
+            writer = csv.DictWriter(stream, columns, lineterminator="\n")
+            if stream.tell() == 0:
                 writer.writeheader()
-            writer.writerow({name: f"{value:.6g}" for name, value in row.items()})
+            writer.writerow({name: value if isinstance(value, int) else f"{value:.6g}" for name, value in row.items()})
         if self._events:
             self._events.record(row)
+
+    def last_record(self) -> dict[str, float]:
+        """The metrics of the last epoch; empty before the first."""
+        if not self._metrics_path.exists():
+            return {}
+        with self._metrics_path.open(newline="") as stream:
+            *_, last = [{}, *csv.DictReader(stream)]
+        return {name: int(value) if value.isdigit() else float(value) for name, value in last.items()}
 
     def _restore_optimizer(self, tensors: dict[str, Tensor]) -> None:
         state: dict[int, dict[str, Tensor]] = {}
@@ -159,9 +174,9 @@ class Run:
     def _drop_metrics_after(self, epoch: int) -> None:
         """Removes the rows of epochs that the resumed run will do again."""
         if self._metrics_path.exists():
-            header, *rows = self._metrics_path.read_text().splitlines()
-            kept = [row for row in rows if float(row.split(",", 1)[0]) <= epoch]
-            self._metrics_path.write_text("\n".join([header, *kept]) + "\n")
+            lines = self._metrics_path.read_text().splitlines(keepends=True)
+            with atomic_write(self._metrics_path, overwrite=True) as stream:
+                stream.write("".join(lines[: epoch + 1]).encode())  # a header and a row an epoch
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
