@@ -81,13 +81,13 @@ def train(
         tensorboard: whether to write the metrics as TensorBoard events, too.
 
     Returns:
-        model (the file), parameters, epochs, patches, seconds, loss terms and validation errors of the last epoch.
+        model (the file), parameters, and of the last epoch: epoch, patches, seconds, loss terms and validation errors.
 
     Raises:
         InputError: if the folder holds another run, or nothing to resume, or a cloud cannot be used.
         UsageError: if the run to resume began with other options, an epoch has less than one batch, or TensorBoard
             is asked for and not installed.
-        ModelError: if the loss is no longer a number.
+        ModelError: if the loss or its gradient is no longer a number.
     """
     torch.manual_seed(options.seed)
     network = PatchFit(config).to(options.device)
@@ -97,14 +97,14 @@ def train(
     sampler = PatchSampler(source, config.neighbors, options.patches_per_cloud, options.batch_size, options.seed)
     if sampler.batches_per_epoch == 0:
         raise UsageError("an epoch has fewer patches than a batch: lower --batch-size or train on more clouds")
-    held_out = _validation_batches(validation or source, config.neighbors, options.seed)
     if resume:
         run.resume()
     else:
         run.begin()
+    held_out = _validation_batches(validation or source, config.neighbors, options.seed)
     logger.info("training %s parameters", f"{parameter_count(network):,}")
 
-    row: dict[str, float] = {}
+    row = run.last_record()
     while run.position.epoch < options.epochs:
         terms = _train_epoch(run, sampler, options)
         row = {"epoch": run.position.epoch, "patches": run.position.patches, "seconds": run.position.seconds}
@@ -148,14 +148,14 @@ def _step(run: Run, batch: Batch, rate: float, options: TrainOptions) -> dict[st
     with torch.autocast(points.device.type, torch.bfloat16, enabled=options.bfloat16):
         prediction = run.network(points, neighbors=True)
     terms = total_loss(prediction, normals, options.losses)
-    if not torch.isfinite(terms["loss"]):
-        raise ModelError(
-            f"the loss is {terms['loss'].item()} after {run.position.patches:,} patches; "
-            f"lower --learning-rate (the state saved last in {run.folder} is sound)"
-        )
     run.optimizer.zero_grad(set_to_none=True)
     terms["loss"].backward()
-    torch.nn.utils.clip_grad_norm_(run.network.parameters(), MAX_GRADIENT)
+    slope = torch.nn.utils.clip_grad_norm_(run.network.parameters(), MAX_GRADIENT)
+    if not torch.isfinite(terms["loss"] + slope):  # before the step, so that no such weights are ever saved
+        raise ModelError(
+            f"the loss is {terms['loss'].item()} and its gradient {slope.item()} after {run.position.patches:,} "
+            f"patches; lower --learning-rate (what is saved in {run.folder} is sound)"
+        )
     run.optimizer.step()
     return {name: value.item() for name, value in terms.items()}
 
