@@ -7,11 +7,12 @@ weighs its points and corrects the result. `make_estimator` builds each from a t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -28,6 +29,8 @@ from jetnormal.networks.patchfit import PatchFit
 
 CHUNK_POINTS = 1_000_000  # neighbors gathered at a time, about 100 MB
 Advance = Callable[[int], None]
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
 
 
 @dataclass(frozen=True)
@@ -114,17 +117,20 @@ class PatchEstimator:
         k = min(self.neighbors, len(points))
         index = NeighborIndex(points, threads=self.threads)
         parts = []
-        with torch.inference_mode(), torch_threads(self.threads):
+        # Batches are independent and small enough for the cache: a thread each beats all threads on one.
+        workers = self.threads or torch.get_num_threads()
+        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             for chunk in _split(queries, max(self.batch_size, CHUNK_POINTS // k)):
                 found, _ = index.query(points[chunk], k)
                 found[:, 0] = chunk  # of coincident points, another may come first
-                for start in range(0, len(chunk), self.batch_size):
-                    batch = slice(start, start + self.batch_size)
-                    parts.append(self._predict(build_patches(points, chunk[batch], found[batch])))
+                batches = zip(_split(chunk, self.batch_size), _split(found, self.batch_size), strict=True)
+                for part in _in_order(pool, lambda batch: self._predict(build_patches(points, *batch)), batches):
+                    parts.append(part)
                     if advance:
-                        advance(len(chunk[batch]))
+                        advance(len(part.normals))
         return _joined(parts)
 
+    @torch.inference_mode()
     def _predict(self, patches: Patches) -> Prediction:
         fit = self.fit(replace(patches, points=patches.points.to(self.device)))
         sound = patches.spans_plane
@@ -152,7 +158,7 @@ def pca_estimator(k: int = 30, batch_size: int | None = None, threads: int | Non
         surface_variation = patches.variance[:, 2] / patches.variance.sum(1).clamp_min(1e-30)
         return _Fit(normals, normals, 1 - 3 * surface_variation, None)
 
-    return PatchEstimator(f"pca:k={k}", _checked_k(k), fit, batch_size or 8192, threads=threads)
+    return PatchEstimator(f"pca:k={k}", _checked_k(k), fit, batch_size or 2048, threads=threads)
 
 
 def jet_estimator(
@@ -167,7 +173,7 @@ def jet_estimator(
         rough = torch.tensor([0.0, 0.0, 1.0]).expand(len(patches.points), 3)
         return _Fit(jet.normal, rough, agreement(rough, jet.normal), jet.curvatures()[0])
 
-    return PatchEstimator(f"jet:k={k},order={order}", _checked_k(k), fit, batch_size or 1024, threads=threads)
+    return PatchEstimator(f"jet:k={k},order={order}", _checked_k(k), fit, batch_size or 512, threads=threads)
 
 
 def network_estimator(
@@ -188,7 +194,7 @@ def network_estimator(
         before = before * torch.where((before * found.refined).sum(1, keepdim=True) < 0, -1.0, 1.0)
         return _Fit(found.refined, before, agreement(before, found.refined), found.jet.curvatures()[0])
 
-    return PatchEstimator(name, _checked_k(k or network.config.neighbors), fit, batch_size or 128, device, threads)
+    return PatchEstimator(name, _checked_k(k or network.config.neighbors), fit, batch_size or 32, device, threads)
 
 
 def agreement(before: Tensor, after: Tensor) -> Tensor:
@@ -274,6 +280,17 @@ def _order_for(points: int, order: int) -> int:
 
 def _split(values: NDArray[np.int64], size: int) -> Iterator[NDArray[np.int64]]:
     return (values[start : start + size] for start in range(0, len(values), size))
+
+
+def _in_order(pool: ThreadPoolExecutor, function: Callable[[_In], _Out], arguments: Iterable[_In]) -> Iterator[_Out]:
+    """As the pool's own map, but an interrupt drops what has not begun."""
+    futures = [pool.submit(function, argument) for argument in arguments]
+    try:
+        for future in futures:
+            yield future.result()
+    finally:
+        for future in futures:
+            future.cancel()
 
 
 def _joined(parts: list[Prediction]) -> Prediction:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from jetnormal.networks.layers import PointLayer
+from jetnormal.networks.layers import PointLayer, maximum
 
 
 class NormalError(nn.Module):
@@ -18,13 +18,13 @@ class NormalError(nn.Module):
 
     def __init__(self, channels: int, hidden: int = 64) -> None:
         super().__init__()
-        self.pooled = PointLayer(channels, channels, nn.ReLU())
+        self.pooled = PointLayer(channels, channels, nn.ReLU(inplace=True))
         self.query = nn.Linear(channels + 3, 3)
         self.neighbor = nn.Sequential(nn.Linear(channels + 3, hidden), nn.ReLU(), nn.Linear(hidden, 3))
 
     def forward(self, features: Tensor, rough: Tensor) -> Tensor:
         """(B, k, C) point features and (B, 3) rough unit normals to (B, 3) refined unit normals."""
-        summary = self.pooled(features).max(1).values
+        summary = maximum(self.pooled(features), 1)
         residual = self.query(torch.cat([summary.float(), rough], dim=1)).float().tanh()
         return normalize(rough + residual, dim=1)
 

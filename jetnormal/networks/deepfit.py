@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from jetnormal.networks.layers import PointLayer, point_layers
+from jetnormal.networks.layers import PointLayer, maximum, point_layers
 from jetnormal.networks.ztransform import FeatureTransform, scaled
 
 WEIGHT_FLOOR = 0.01  # no neighbor is ruled out, so that every fit keeps full rank
@@ -37,9 +37,9 @@ class DeepFit(nn.Module):
         h1, h2, h3 = (scaled(c, width) for c in (512, 256, 128))
         self.local = point_layers([3, local, local])
         self.transform = FeatureTransform(local, width) if feature_transform else None
-        self.middle = PointLayer(local, middle, nn.ReLU())
+        self.middle = PointLayer(local, middle, nn.ReLU(inplace=True))
         self.summary = PointLayer(middle, summary)
-        self.first = PointLayer(summary + local, h1, nn.ReLU())
+        self.first = PointLayer(summary + local, h1, nn.ReLU(inplace=True))
         self.head = point_layers([h1, h2, h3])
         self.weight = nn.Linear(h3, 1)
         self.channels = h3
@@ -51,7 +51,7 @@ class DeepFit(nn.Module):
         if self.transform is not None:
             matrix = self.transform(local)
             local = local @ matrix.to(local.dtype)
-        summary = self.summary(self.middle(local)).max(1).values
+        summary = maximum(self.summary(self.middle(local)), 1)
         features = self.head(self.first.split(summary, local))
         weights = WEIGHT_FLOOR + torch.sigmoid(self.weight(features).float())
         return Weighting(weights[..., 0], features, matrix)

@@ -48,6 +48,11 @@ class PointLayer(nn.Module):
         return self.finish(nn.functional.linear(features, theirs) + once[:, None])
 
 
+def maximum(features: Tensor, axis: int) -> Tensor:
+    """The maximum over an axis. Forwards amax is the faster one, backwards max, which remembers where it was."""
+    return features.max(axis).values if features.requires_grad else features.amax(axis)
+
+
 def full_precision(tensor: Tensor) -> torch.autocast:
     """Switches automatic mixed precision off for what must not run in half precision: `with full_precision(x): ...`"""
     return torch.autocast(tensor.device.type, enabled=False)
@@ -55,7 +60,7 @@ def full_precision(tensor: Tensor) -> torch.autocast:
 
 def point_layers(widths: Sequence[int]) -> nn.Sequential:
     """A chain of point layers through the given widths, each with a ReLU."""
-    return nn.Sequential(*(PointLayer(a, b, nn.ReLU()) for a, b in pairwise(widths)))
+    return nn.Sequential(*(PointLayer(a, b, nn.ReLU(inplace=True)) for a, b in pairwise(widths)))
 
 
 def gather(features: Tensor, indices: Tensor) -> Tensor:
@@ -89,8 +94,8 @@ class EdgeConv(nn.Module):
         super().__init__()
         self.k = k
         half = outputs // 2
-        self.first = PointLayer(2 * inputs, half, nn.LeakyReLU(0.2))
-        self.second = PointLayer(half, half, nn.LeakyReLU(0.2))
+        self.first = PointLayer(2 * inputs, half, nn.LeakyReLU(0.2, inplace=True))
+        self.second = PointLayer(half, half, nn.LeakyReLU(0.2, inplace=True))
         self.last = nn.Linear(half, outputs)
 
     def forward(self, features: Tensor) -> Tensor:
@@ -101,7 +106,7 @@ class EdgeConv(nn.Module):
         centre = nn.functional.linear(features, on_offset + on_centre, self.first.linear.bias)
         neighbor = nn.functional.linear(features, on_offset)
         edges = self.first.finish(centre[:, :, None] - gather(neighbor, neighbors))
-        return self.last(self.second(edges)).max(2).values
+        return maximum(self.last(self.second(edges)), 2)
 
 
 class AdaptivePooling(nn.Module):
@@ -117,8 +122,8 @@ class AdaptivePooling(nn.Module):
         self.k = k
         self.farthest = farthest
         narrow = channels // 4
-        self.position = nn.Sequential(PointLayer(3, narrow, nn.LeakyReLU(0.2)), nn.Linear(narrow, channels))
-        self.attention = nn.Sequential(PointLayer(channels, narrow, nn.LeakyReLU(0.2)), nn.Linear(narrow, channels))
+        self.position = nn.Sequential(PointLayer(3, narrow, nn.LeakyReLU(0.2, inplace=True)), nn.Linear(narrow, channels))
+        self.attention = nn.Sequential(PointLayer(channels, narrow, nn.LeakyReLU(0.2, inplace=True)), nn.Linear(narrow, channels))
 
     def forward(self, points: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
         """(B, n, 3) and (B, n, C) to (B, m, 3) and (B, m, C); the query, index 0, stays at index 0."""

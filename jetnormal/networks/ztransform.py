@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from jetnormal.networks.layers import AdaptivePooling, EdgeConv, PointLayer, point_layers
+from jetnormal.networks.layers import AdaptivePooling, EdgeConv, PointLayer, maximum, point_layers
 
 
 class ZTransform(nn.Module):
@@ -31,7 +31,7 @@ class ZTransform(nn.Module):
         self.conv2 = EdgeConv(c1, c2)
         self.pool2 = AdaptivePooling(c2, points=pools[1], farthest=not light)
         self.conv3 = EdgeConv(c2, c3)
-        self.lift = nn.Sequential(PointLayer(c3, c3, nn.LeakyReLU(0.2)), nn.Linear(c3, c4))
+        self.lift = nn.Sequential(PointLayer(c3, c3, nn.LeakyReLU(0.2, inplace=True)), nn.Linear(c3, c4))
         self.quaternion = quaternion_head(2 * c4, c4, c3)
 
     def forward(self, points: Tensor) -> Tensor:
@@ -40,7 +40,7 @@ class ZTransform(nn.Module):
         centres, features = self.pool1(points, self.conv1(points))
         _, features = self.pool2(centres, self.conv2(features))
         features = self.lift(self.conv3(features))
-        summary = torch.cat([features.max(1).values, features.mean(1)], dim=1)
+        summary = torch.cat([maximum(features, 1), features.mean(1)], dim=1)
         return rotation_matrix(self.quaternion(summary))
 
 
@@ -55,7 +55,7 @@ class QSTN(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """(B, k, 3) patches to (B, 3, 3) rotations."""
-        return rotation_matrix(self.quaternion(self.features(points).max(1).values))
+        return rotation_matrix(self.quaternion(maximum(self.features(points), 1)))
 
 
 class FeatureTransform(nn.Module):
@@ -70,7 +70,7 @@ class FeatureTransform(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, k, C) features to (B, C, C) matrices."""
-        matrix = self.head(self.features(features).max(1).values).view(-1, self.channels, self.channels)
+        matrix = self.head(maximum(self.features(features), 1)).view(-1, self.channels, self.channels)
         return matrix + torch.eye(self.channels, device=features.device)
 
 
