@@ -60,13 +60,13 @@ class PatchSampler:
         Raises:
             InputError: if a cloud has fewer points than a patch.
         """
+        clouds = self._clouds(epoch)
+        picks = self._picks(epoch, clouds)
+
+        def build(number: int) -> Batch:
+            return self._batch(clouds, picks[number * self.batch_size : (number + 1) * self.batch_size])
+
         with ThreadPoolExecutor(1) as thread:
-            clouds = thread.submit(self._clouds, epoch).result()
-            picks = self._picks(epoch, clouds)
-
-            def build(number: int) -> Batch:
-                return self._batch(clouds, picks[number * self.batch_size : (number + 1) * self.batch_size])
-
             yield from _ahead(thread, build, range(first, self.batches_per_epoch))
 
     def _clouds(self, epoch: int) -> list[tuple[LabeledCloud, NeighborIndex]]:
