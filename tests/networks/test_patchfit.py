@@ -238,7 +238,7 @@ def test_a_network_overfits_a_few_patches(light):
 
     prediction = network(points, neighbors=True)
     start = error()
-    for _ in range(100):
+    for _ in range(70):
         prediction = network(points, neighbors=True)
         optimizer.zero_grad()
         total_loss(prediction, normals, LossWeights())["loss"].backward()
