@@ -12,6 +12,7 @@ from jetnormal.networks.layers import (
     farthest_points,
     full_precision,
     gather,
+    maximum,
     nearest,
     point_layers,
 )
@@ -154,6 +155,19 @@ def test_pooling_to_more_points_than_there_are_keeps_all():
     centres, pooled = with_statistics(AdaptivePooling(16, points=20))(points, features)
     assert pooled.shape == (2, 6, 16)
     assert sorted(centres[0].tolist()) == sorted(points[0].tolist())
+
+
+@pytest.mark.parametrize("axis", [1, 2])
+def test_the_maximum_is_the_same_with_gradients_and_without(axis):
+    features = torch.randint(0, 5, (3, 20, 6)).float()  # with ties
+    expected = features.max(axis).values
+    assert torch.equal(maximum(features, axis), expected)
+    features.requires_grad_()
+    values = maximum(features, axis)
+    assert torch.equal(values, expected)
+    values.sum().backward()
+    assert torch.equal(features.grad.sum(axis), torch.ones_like(expected))
+    assert set(features.grad.unique().tolist()) == {0, 1}  # one of the largest takes all
 
 
 def test_farthest_points_equal_a_naive_loop():

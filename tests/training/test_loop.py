@@ -41,19 +41,25 @@ class Spheres:
         return LabeledCloud(f"sphere {index}", normals, normals)
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
+def hasten():
+    """One thread, and few patches to validate on: networks as small as these spend their time elsewhere."""
     torch.set_num_threads(1)
+    loop.VALIDATION_QUERIES = 20
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_scale():
+    before = torch.get_num_threads(), loop.VALIDATION_QUERIES
+    hasten()
     yield
-    torch.set_num_threads(threads)
+    torch.set_num_threads(before[0])
+    loop.VALIDATION_QUERIES = before[1]
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """The folder of a run without interruption, and what it returned."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    torch.set_num_threads(1)
     return folder, train(CONFIG, Spheres(), folder, OPTIONS)
 
 
@@ -152,11 +158,10 @@ def test_an_interruption_between_metrics_and_state_leaves_no_second_row(finished
 KILLED = """
 import importlib.util, sys, time
 from pathlib import Path
-import torch
-torch.set_num_threads(1)
 spec = importlib.util.spec_from_file_location("case", {case!r})
 case = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(case)
+case.hasten()
 case.loop.Run.save_if_due = lambda run: (run.save(), time.sleep(0.2))
 case.train(case.CONFIG, case.Spheres(), Path(sys.argv[1]), case.OPTIONS)
 """
@@ -304,7 +309,7 @@ def test_the_rate_reaches_the_optimizer(tmp_path, monkeypatch):
 
 def test_validation_measures_angles_in_degrees():
     batches = loop._validation_batches(Spheres(), CONFIG.neighbors, 1)
-    assert [len(batch.points) for batch in batches] == [250, 250]
+    assert [len(batch.points) for batch in batches] == [20, 20]
     network = PatchFit(dataclasses.replace(CONFIG, correction=False, order=1))
     errors = validate(network, batches)
     assert not network.training
