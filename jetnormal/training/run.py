@@ -185,9 +185,9 @@ def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 
 def _differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Names of the entries, one level deep, that differ."""
+    """Names of the entries, one level deep, that differ; those that one version of the program lacks do not."""
     names = []
-    for group in before.keys() | now.keys():
-        old, new = before.get(group, {}), now.get(group, {})
-        names += [f"{key} was {old.get(key)}" for key in old.keys() | new.keys() if old.get(key) != new.get(key)]
+    for group in before.keys() & now.keys():
+        old, new = before[group], now[group]
+        names += [f"{key} was {old[key]}" for key in old.keys() & new.keys() if old[key] != new[key]]
     return sorted(names)
