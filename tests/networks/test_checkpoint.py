@@ -72,7 +72,8 @@ def test_every_setting_survives(tmp_path):
         feature_transform=False,
         light=True,
     )
-    assert all(getattr(config, f.name) != f.default for f in dataclasses.fields(config))
+    same = [f.name for f in dataclasses.fields(config) if getattr(config, f.name) == f.default]
+    assert same in ([], ["weights"])  # there is one weight predictor to choose from
     save_model(tmp_path / "a.safetensors", PatchFit(config), {})
     assert load_model(tmp_path / "a.safetensors").config == config
 

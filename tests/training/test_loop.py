@@ -203,6 +203,16 @@ def test_a_run_is_not_resumed_with_other_options(finished):
         train(other, Spheres(), folder, dataclasses.replace(OPTIONS, epochs=3), resume=True)
 
 
+def test_a_run_that_began_before_an_option_existed_is_resumed(finished, tmp_path):
+    tensors, description = load_tensors(finished[0] / "state.safetensors")
+    del description["facts"]["config"]["light"]
+    description["facts"]["options"]["obsolete"] = 1
+    save_tensors(tmp_path / "state.safetensors", tensors, description)
+    train(CONFIG, Spheres(), tmp_path, OPTIONS, resume=True)
+    with pytest.raises(UsageError, match="order was 3"):
+        train(dataclasses.replace(CONFIG, order=2), Spheres(), tmp_path, OPTIONS, resume=True)
+
+
 def test_a_new_run_does_not_overwrite_one(finished):
     folder, _ = finished
     before = (folder / "model.safetensors").read_bytes()
