@@ -140,7 +140,7 @@ def test_tensorboard_that_is_absent_is_named(pcpnet, tmp_path, monkeypatch, caps
 
 
 def test_defaults_are_the_papers(handed_over, monkeypatch):
-    assert run(monkeypatch, "--synthetic", "-o", "run", "--device", "cpu") == 0
+    assert run(monkeypatch, "--synthetic", "--device", "cpu") == 0
     ((config, source, folder, options, others),) = handed_over
     assert config == CONFIGS["paper"]
     assert isinstance(source, SyntheticSolids)
@@ -202,7 +202,6 @@ def test_mesh_folder_takes_its_sizes_from_the_options(handed_over, meshes, monke
     ("arguments", "code"),
     [
         ("-o run", 2),
-        ("--synthetic", 2),
         ("--synthetic -o run --config large", 2),
         ("--synthetic -o run --order 5", 2),
         ("--synthetic -o run --batch-size 1", 2),

@@ -17,7 +17,7 @@ def report_failure(error: Exception) -> int:
         traceback.print_exception(error)
     if isinstance(error, JetnormalError):
         message, code = str(error), error.exit_code
-    elif isinstance(error, MemoryError):
+    elif isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":  # PyTorch's, on a GPU
         message, code = "out of memory: try a smaller --batch-size or fewer points", ResourceError.exit_code
     else:
         hint = "" if verbose else " (run again with -v for the traceback)"

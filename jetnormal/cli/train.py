@@ -22,7 +22,6 @@ def parse_weights(text: str) -> list[float]:
 
 
 def train(
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="RUN", help="Folder of the run.")],
     data: Annotated[
         list[Path] | None,
         typer.Option(metavar="DIR", help="PCPNet clouds or meshes (.ply .obj .off .stl .npz); repeat it to mix."),
@@ -62,6 +61,7 @@ def train(
     points_per_cloud: Annotated[
         int, typer.Option(min=1, metavar="N", help="Largest number of points drawn from a mesh or a solid.")
     ] = 100_000,
+    model: Annotated[Literal["deepfit"], typer.Option(help="Weight predictor of the network.")] = "deepfit",
     config: Annotated[
         Literal["paper", "small"], typer.Option(help="Network to start from: as published, or for a CPU.")
     ] = "paper",
@@ -98,6 +98,7 @@ def train(
     ] = "step",
     bfloat16: Annotated[bool, typer.Option("--bfloat16", help="Multiply matrices in bfloat16: faster.")] = False,
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of data, order and initial weights.")] = 1,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="RUN", help="Folder of the run.")] = Path("run"),
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
     tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Also write TensorBoard events.")] = False,
     device: Device = "auto",
@@ -130,7 +131,7 @@ def train(
     held_out = None
     if validation:
         held_out = open_source([validation], list_file=validation_list, default_list=VALIDATION_LIST)
-    changes = {"neighbors": neighbors, "order": order, "transform": transform, "width": width}
+    changes = {"weights": model, "neighbors": neighbors, "order": order, "transform": transform, "width": width}
     changes |= {"transform_width": transform_width, "correction": False if no_correction else None}
     given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
     network = dataclasses.replace(CONFIGS[config], **given)

@@ -121,9 +121,8 @@ class AdaptivePooling(nn.Module):
         self.points = points
         self.k = k
         self.farthest = farthest
-        narrow = channels // 4
-        self.position = nn.Sequential(PointLayer(3, narrow, nn.LeakyReLU(0.2, inplace=True)), nn.Linear(narrow, channels))
-        self.attention = nn.Sequential(PointLayer(channels, narrow, nn.LeakyReLU(0.2, inplace=True)), nn.Linear(narrow, channels))
+        self.position = _bottleneck(3, channels)
+        self.attention = _bottleneck(channels, channels)
 
     def forward(self, points: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
         """(B, n, 3) and (B, n, C) to (B, m, 3) and (B, m, C); the query, index 0, stays at index 0."""
@@ -135,6 +134,12 @@ class AdaptivePooling(nn.Module):
         feature = gather(features, neighbors)
         attention = self.attention(gather(features, kept)[:, :, None] - feature + position)
         return centres, (attention.softmax(2) * (feature + position)).sum(2)
+
+
+def _bottleneck(inputs: int, outputs: int) -> nn.Sequential:
+    """Two maps through a quarter of the outputs."""
+    narrow = outputs // 4
+    return nn.Sequential(PointLayer(inputs, narrow, nn.LeakyReLU(0.2, inplace=True)), nn.Linear(narrow, outputs))
 
 
 def farthest_points(points: Tensor, count: int) -> Tensor:

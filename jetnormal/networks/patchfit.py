@@ -20,6 +20,7 @@ class PatchFitConfig:
     """What rebuilds a PatchFit network.
 
     Attributes:
+        weights: the weight predictor: "deepfit".
         neighbors: points in a patch.
         order: order of the jet, 1 to 4.
         transform: "ztransform" (the paper's) or "qstn" (the baseline's).
@@ -33,6 +34,7 @@ class PatchFitConfig:
         ValueError: if a number is out of range.
     """
 
+    weights: str = "deepfit"
     neighbors: int = 256
     order: int = 3
     transform: str = "ztransform"
@@ -93,7 +95,8 @@ class PatchFit(nn.Module):
         width = config.width if config.transform_width is None else config.transform_width
         transforms = {"ztransform": lambda: ZTransform(width, config.light), "qstn": lambda: QSTN(width)}
         self.transform = transforms[config.transform]()
-        self.weights = DeepFit(config.width, config.feature_transform)
+        predictors = {"deepfit": DeepFit}
+        self.weights = predictors[config.weights](config.width, config.feature_transform)
         self.correction = NormalError(self.weights.channels) if config.correction else None
 
     def forward(self, points: Tensor, iterations: int = 1, neighbors: bool = False) -> PatchPrediction:

@@ -93,6 +93,7 @@ def train(
     network = PatchFit(config).to(options.device)
     optimizer = torch.optim.Adam(network.parameters(), lr=options.learning_rate, weight_decay=1e-7)
     facts = {"config": dataclasses.asdict(config), "options": dataclasses.asdict(options)}
+    del facts["options"]["device"]  # a run may move to another machine
     run = Run(folder, json.loads(json.dumps(facts)), network, optimizer, tensorboard)
     sampler = PatchSampler(source, config.neighbors, options.patches_per_cloud, options.batch_size, options.seed)
     if sampler.batches_per_epoch == 0:
