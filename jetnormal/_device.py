@@ -1,8 +1,10 @@
-"""Where networks run: the one place that turns a user's choice of a device into one that is there."""
+"""Where networks run: devices and threads."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from jetnormal.errors import ResourceError, UsageError
 
@@ -29,3 +31,17 @@ def resolve_device(text: str) -> str:
     if int(text.partition(":")[2] or 0) >= count:
         raise ResourceError(f"there is no device {text}, only {count} CUDA devices; give --device cpu or auto")
     return text
+
+
+@contextmanager
+def torch_threads(threads: int | None) -> Iterator[None]:
+    """Runs PyTorch on a number of CPU threads inside the block; None leaves it alone."""
+    import torch
+
+    before = torch.get_num_threads()
+    if threads:
+        torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -299,15 +298,3 @@ def _joined(parts: list[Prediction]) -> Prediction:
         return None if not arrays or arrays[0] is None else np.concatenate(arrays)
 
     return Prediction(join("normals"), join("rough"), join("confidence"), join("curvatures"))
-
-
-@contextmanager
-def torch_threads(threads: int | None) -> Iterator[None]:
-    """Runs PyTorch on a number of CPU threads inside the block; None leaves it alone."""
-    before = torch.get_num_threads()
-    if threads:
-        torch.set_num_threads(threads)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

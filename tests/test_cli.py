@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import signal
 import subprocess
@@ -13,7 +12,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import jetnormal
-from jetnormal import errors, report
+from jetnormal import errors
 from jetnormal.cli.app import app, main
 
 COMMANDS = sorted(get_command(app).commands)
@@ -29,14 +28,6 @@ SUMMARY = {
     "peak_memory_mb": 120.0,
     "warnings": ["10 points are not finite"],
 }
-
-
-@pytest.fixture(autouse=True)
-def default_logging():
-    yield
-    report.logger.handlers.clear()
-    report.logger.propagate = True
-    report.logger.setLevel(logging.NOTSET)
 
 
 @pytest.fixture

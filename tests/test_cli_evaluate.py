@@ -1,21 +1,11 @@
 from __future__ import annotations
 
 import json
-import logging
 
 import numpy as np
 import pytest
 
-from jetnormal import report
 from jetnormal.cli.app import main
-
-
-@pytest.fixture(autouse=True)
-def default_logging():
-    yield
-    report.logger.handlers.clear()
-    report.logger.propagate = True
-    report.logger.setLevel(logging.NOTSET)
 
 
 @pytest.fixture

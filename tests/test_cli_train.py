@@ -3,14 +3,12 @@ from __future__ import annotations
 import builtins
 import csv
 import json
-import logging
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from jetnormal import report
 from jetnormal.cli.app import main
 from jetnormal.estimators import make_estimator
 from jetnormal.networks.checkpoint import load_model
@@ -20,14 +18,6 @@ from jetnormal.training.datasets import MeshFolder, Mixture, PcpnetFolder, Synth
 
 TINY = ["--config", "small", "--width", "0.125", "--transform-width", "0.125", "--neighbors", "16", "--epochs", "1"]
 TINY += ["--batch-size", "16", "--patches-per-cloud", "32", "--clouds-per-epoch", "1", "--points-per-cloud", "300"]
-
-
-@pytest.fixture(autouse=True)
-def default_logging():
-    yield
-    report.logger.handlers.clear()
-    report.logger.propagate = True
-    report.logger.setLevel(logging.NOTSET)
 
 
 @pytest.fixture

@@ -120,8 +120,7 @@ def train(
       jetnormal train --data pcpnet -o run --resume
     """
     set_verbosity(quiet, verbose)
-    from jetnormal._device import resolve_device
-    from jetnormal.estimators import torch_threads
+    from jetnormal._device import resolve_device, torch_threads
     from jetnormal.networks.patchfit import CONFIGS
     from jetnormal.training.datasets import VALIDATION_LIST, open_dataset
     from jetnormal.training.loop import TrainOptions, train
