@@ -137,7 +137,7 @@ def test_defaults_are_the_papers(handed_over, monkeypatch):
     assert source.clouds_per_epoch == SyntheticSolids().clouds_per_epoch
     assert vars(source) == vars(SyntheticSolids())
     assert folder == Path("run")
-    assert options == loop.TrainOptions()
+    assert options == loop.TrainOptions(data="synthetic")
     assert others == {"validation": None, "resume": False, "tensorboard": False}
 
 
@@ -166,6 +166,7 @@ def test_options_reach_the_training(handed_over, pcpnet, meshes, monkeypatch):
         "schedule": "cosine",
         "bfloat16": True,
         "seed": 3,
+        "data": f"{meshes.name} {pcpnet.name} synthetic",
     }
     assert isinstance(source, Mixture)
     assert source.clouds_per_epoch == 7 + 1 + 7

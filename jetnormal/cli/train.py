@@ -143,6 +143,7 @@ def train(
         seed=seed,
         device=resolve_device(device),
         bfloat16=bfloat16,
+        data=" ".join([folder.resolve().name for folder in data or []] + ["synthetic"] * synthetic),
     )
     with torch_threads(threads):
         summary = train(network, source, out, options, validation=held_out, resume=resume, tensorboard=tensorboard)

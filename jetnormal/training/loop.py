@@ -43,6 +43,7 @@ class TrainOptions:
         device: "cpu", "cuda" or "cuda:N".
         bfloat16: whether matrix products run in bfloat16 (the jet never does).
         losses: factors of the loss terms.
+        data: name of the data, for the record.
     """
 
     epochs: int = 700
@@ -54,6 +55,7 @@ class TrainOptions:
     device: str = "cpu"
     bfloat16: bool = False
     losses: LossWeights = dataclasses.field(default_factory=LossWeights)
+    data: str = ""
 
 
 def train(
