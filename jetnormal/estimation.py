@@ -135,12 +135,14 @@ def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[
 
 def _estimate_cloud(cloud: Cloud, options: EstimateOptions, timer: StageTimer) -> tuple[Cloud, dict[str, Any]]:
     """The cloud with normals and attributes, and valid, model, orient and warnings of the summary."""
+    from jetnormal.geometry.neighbors import distinct
     from jetnormal.geometry.orient import orient
 
     method, viewpoint = _orientation(options, cloud)
     with timer.stage("clean"):
         rows = np.flatnonzero(cloud.valid)
-        points, copies = _distinct(cloud.points[rows])
+        first, copies = distinct(cloud.points[rows])
+        points = cloud.points[rows[first]]
     if len(points) < 3:
         raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
     with timer.stage("model"):
@@ -199,22 +201,6 @@ def _orientation(options: EstimateOptions, cloud: Cloud) -> tuple[Any, Vector | 
     if options.orient != "auto":
         return options.orient, viewpoint
     return ("viewpoint" if options.viewpoint is not None else choose_method(known)), viewpoint
-
-
-def _distinct(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The different points among (N, 3), in the order of their first occurrence, and for each row its place there.
-
-    A patch of copies of one point would know nothing of the surface.
-    """
-    order = np.lexsort(points.T)
-    new = np.ones(len(points), dtype=bool)
-    new[1:] = (np.diff(points[order], axis=0) != 0).any(axis=1)
-    first = np.minimum.reduceat(order, np.flatnonzero(new)) if len(points) else order
-    group = np.empty(len(points), dtype=np.int64)
-    group[order] = np.cumsum(new) - 1
-    place = np.empty(len(first), dtype=np.int64)
-    place[np.argsort(first)] = np.arange(len(first))
-    return points[np.sort(first)], place[group]
 
 
 def _spread(

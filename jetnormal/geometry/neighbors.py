@@ -126,6 +126,19 @@ class NeighborIndex:
         return self._searches[name]
 
 
+def distinct(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The different points among (N, 3) finite ones: neighborhoods of copies would know nothing of a surface.
+
+    Returns:
+        The rows (M,) where each different point comes first, and for each row (N,) which of these it is a copy of.
+    """
+    order = np.lexsort(points.T)  # stable: copies keep their order
+    starts = np.append(np.ones(min(1, len(points)), dtype=bool), np.any(np.diff(points[order], axis=0) != 0, axis=1))
+    copy_of = np.empty(len(points), dtype=np.int64)
+    copy_of[order] = np.cumsum(starts) - 1
+    return order[starts], copy_of
+
+
 def _checked(values: NDArray[Any], name: str) -> NDArray[np.float64]:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:

@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.geometry.neighbors import NeighborIndex, distinct
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -124,22 +124,13 @@ def _viewpoint_flips(points: Floats, normals: Floats, viewpoint: tuple[float, fl
 
 def _mst_flips(points: Floats, normals: Floats) -> Bools:
     """Which unit normals (N, 3) to flip so that they are consistent and look outward; N >= 1."""
-    first, copy_of = _distinct(points)
+    first, copy_of = distinct(points)
     surface = _Surface(points[first], normals[first])
     signs, component = _spread_signs(surface, _spanning_forest(surface))
     surface.normals *= signs[:, None]
     surface.normals[_looks_inward(surface, component)[component]] *= -1
     # Copies of a point follow the first one. In the graph, many of them would see nothing but each other.
     return np.einsum("nd,nd->n", normals, surface.normals[copy_of]) < 0
-
-
-def _distinct(points: Floats) -> tuple[Ints, Ints]:
-    """The row where each distinct point comes first (M,), and which of these each point is a copy of (N,)."""
-    order = np.lexsort(points.T)  # stable: copies keep their order
-    starts = np.append(True, np.any(np.diff(points[order], axis=0) != 0, axis=1))
-    copy_of = np.empty(len(points), dtype=np.int64)
-    copy_of[order] = np.cumsum(starts) - 1
-    return order[starts], copy_of
 
 
 class _Surface:
