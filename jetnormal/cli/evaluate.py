@@ -37,11 +37,12 @@ def evaluate(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Compare models on clouds with known normals, by the protocol of the PCPNet benchmark.
+    """Compare models on clouds with known normals.
 
-    The error of a cloud is the RMSE, in degrees, of the angle between estimated and true normals without
-    signs, over the points in NAME.pidx (all where there is none). Clouds are averaged by category, and the
-    categories once more. PGP is the share of points whose error is below 5 or 10 degrees.
+    The protocol is that of the PCPNet benchmark: the error of a cloud is the RMSE, in degrees, of the angle
+    between estimated and true normals without signs, over the points in NAME.pidx (all where there is none).
+    Clouds are averaged by category, and the categories once more. PGP is the share of points whose error is
+    below 5 or 10 degrees.
 
     Settings of a model follow a colon: k, order (jet) and iterations (networks).
 

@@ -47,7 +47,9 @@ def train(
     ] = None,
     validation: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Clouds or meshes to validate on.", show_default="held-out training clouds"),
+        typer.Option(
+            metavar="DIR", help="Clouds or meshes to validate on.", show_default="from --data, else held out"
+        ),
     ] = None,
     validation_list: Annotated[
         str | None,
@@ -128,6 +130,7 @@ def train(
     open_source = partial(open_dataset, clouds_per_epoch=clouds_per_epoch, points=points_per_cloud)
     source = open_source(data or [], synthetic=synthetic, weights=weights, list_file=list_file)
     held_out = None
+    validation = validation or next((folder for folder in data or [] if (folder / VALIDATION_LIST).is_file()), None)
     if validation:
         held_out = open_source([validation], list_file=validation_list, default_list=VALIDATION_LIST)
     changes = {"weights": model, "neighbors": neighbors, "order": order, "transform": transform, "width": width}

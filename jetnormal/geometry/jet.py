@@ -127,17 +127,19 @@ def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Je
     # in float32 the rounding of the products would outweigh the ridge, and two scan lines have no Cholesky factor
     design = monomials((xy / scale[:, None, None]).double(), order)  # (B, k, T)
     weighted = (design * (weights / total[:, None])[..., None]).transpose(1, 2)  # (B, T, k)
-    ridge = 1e-6 if points.dtype == torch.float32 else 1e-13
-    beta = _solve(weighted @ design, weighted @ z[..., None].double(), ridge).to(points.dtype)
     degrees = torch.tensor([a + b for a, b in exponents(order)], device=points.device)
+    # In float32 two scan lines do not tell x from x y^2: the smaller ridge says that it is x.
+    low, high = (1e-9, 1e-6) if points.dtype == torch.float32 else (1e-13, 1e-13)
+    ridge = torch.where(degrees > 1, high, low).double()
+    beta = _solve(weighted @ design, weighted @ z[..., None].double(), ridge).to(points.dtype)
     return Jet(beta / scale[:, None] ** degrees, order)
 
 
-def _solve(matrix: Tensor, right: Tensor, ridge: float) -> Tensor:
-    """Solves (B, T, T) positive semi-definite systems for (B, T, 1) right sides; (B, T)."""
+def _solve(matrix: Tensor, right: Tensor, ridge: Tensor) -> Tensor:
+    """Solves (B, T, T) positive semi-definite systems for (B, T, 1) right sides, with a ridge (T,); (B, T)."""
     scale = matrix.diagonal(dim1=1, dim2=2).clamp_min(1e-30).rsqrt()
     # a monomial that is zero all over the patch keeps its row; the ridge then sets its coefficient to zero
     unit = matrix * scale[:, :, None] * scale[:, None, :]
-    unit = unit + ridge * torch.eye(matrix.shape[1], dtype=matrix.dtype, device=matrix.device)
+    unit = unit + torch.diag(ridge)
     solution = torch.cholesky_solve(right * scale[:, :, None], torch.linalg.cholesky_ex(unit)[0])
     return solution[..., 0] * scale

@@ -139,7 +139,10 @@ class PatchFit(nn.Module):
         )
 
     def for_inference(self) -> PatchFit:
-        """Evaluation mode, without gradients, batch normalisation folded into the linear maps. Returns itself."""
+        """Evaluation mode, without gradients, batch normalisation folded into the linear maps; not to be saved again.
+
+        Returns itself.
+        """
         self.eval().requires_grad_(False)
         for module in self.modules():
             if isinstance(module, PointLayer):

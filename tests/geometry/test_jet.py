@@ -317,3 +317,13 @@ def test_the_normal_converges_as_the_order_promises(order):
     ]
     rate = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
     assert rate == pytest.approx(order, abs=0.35)
+
+
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_two_scan_lines_on_a_plane_give_its_slope(order):
+    x = torch.linspace(-1, 1, 60, dtype=torch.float64).repeat(2)
+    y = torch.tensor([0.0, 0.3], dtype=torch.float64).repeat_interleave(60)
+    points = torch.stack([x, y, 0.2 * x + 0.1 * y], 1)[None].float()
+    true = torch.tensor([-0.2, -0.1, 1.0], dtype=torch.float64)
+    cosine = fit_jet(points, None, order).normal[0].double() @ (true / true.norm())
+    assert torch.rad2deg(torch.arccos(cosine.clamp(max=1))) < 0.1
