@@ -7,7 +7,7 @@ import logging
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 logger = logging.getLogger("jetnormal")
@@ -22,12 +22,16 @@ class Advance(Protocol):
 
 
 class _StderrHandler(logging.Handler):
-    """Write each record to the sys.stderr of that moment, which a progress bar may have redirected."""
+    """Write each record to the sys.stderr of that moment, which a progress bar may have redirected.
+
+    A full disk or a closed pipe behind it loses messages, but not the job.
+    """
 
     def emit(self, record: logging.LogRecord) -> None:
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
-        sys.stderr.write(f"jetnormal: {level}{self.format(record)}\n")
-        sys.stderr.flush()
+        with suppress(OSError):
+            sys.stderr.write(f"jetnormal: {level}{self.format(record)}\n")
+            sys.stderr.flush()
 
 
 def configure_logging(verbosity: int) -> None:

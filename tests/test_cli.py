@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -253,17 +254,47 @@ def test_closed_pipe_gives_no_traceback():
     assert "BrokenPipe" not in shown
 
 
-def test_interrupt_signal_ends_the_process_with_130():
-    code = STAND_IN.format(action="(print('ready', flush=True), __import__('time').sleep(60))")
+SLOW_WRITE = """
+def write_slowly(path):
+    import time
+    from jetnormal.formats.atomic import atomic_write
+    with atomic_write(path) as stream:
+        print("ready", flush=True)
+        time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_ends_the_process_with_its_code_and_leaves_no_unfinished_file(tmp_path, name):
+    number = getattr(signal, name)
+    code = SLOW_WRITE + STAND_IN.format(action="write_slowly(arguments[1])")
     process = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
-    process.send_signal(signal.SIGINT)
+    assert len(list(tmp_path.iterdir())) == 1
+    process.send_signal(number)
     shown = process.communicate(timeout=60)[1]
-    assert process.returncode == errors.INTERRUPTED
+    assert process.returncode == 128 + number
     assert "Traceback" not in shown
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_ignored_hangup_stays_ignored(monkeypatch):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    try:
+        run(monkeypatch, "--version")
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", "2>&- >&-"])
+@pytest.mark.parametrize(("action", "code"), [(repr(SUMMARY), 0), ("__import__('jetnormal').read('missing.ply')", 3)])
+def test_a_stderr_that_takes_nothing_does_not_change_how_the_program_ends(redirection, action, code):
+    command = [sys.executable, "-c", STAND_IN.format(action=action)]
+    assert subprocess.run(f"{shlex.join(command)} {redirection}", shell=True, timeout=60).returncode == code
 
 
 def test_shell_completion_completes_commands_and_choices():

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
@@ -54,7 +57,31 @@ def describe(
 
 def main() -> None:
     """Run the command line; the entry point of the `jetnormal` program."""
+    _replace_closed_streams()
+    _clean_up_when_ended()
     try:
         app(prog_name="jetnormal")  # usage errors (2), interrupts (130) and closed pipes (1) exit in here
     except Exception as error:
         sys.exit(report_failure(error))
+
+
+def _replace_closed_streams() -> None:
+    """Open the null device for stdout and stderr where whoever started the program closed them (`2>&-`).
+
+    Nobody reads them then, and the next file opened, perhaps the output, must not become stderr in their place.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115 - as long as the program runs
+
+
+def _clean_up_when_ended() -> None:
+    """Leave by way of an exception, which removes unfinished files, when the process or its terminal is ended."""
+
+    def leave(number: int, _: Any) -> None:
+        sys.exit(128 + number)
+
+    for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP; nohup ignores it
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, leave)

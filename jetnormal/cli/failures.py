@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import traceback
+from contextlib import suppress
 
 from jetnormal.errors import JetnormalError, ResourceError
 from jetnormal.report import logger
@@ -22,5 +23,6 @@ def report_failure(error: Exception) -> int:
     else:
         hint = "" if verbose else " (run again with -v for the traceback)"
         message, code = f"{type(error).__name__}: {error}{hint}", JetnormalError.exit_code
-    sys.stderr.write(f"jetnormal: error: {' '.join(message.split())}\n")
+    with suppress(OSError):  # behind stderr may be a full disk; the exit code still tells
+        sys.stderr.write(f"jetnormal: error: {' '.join(message.split())}\n")
     return code
