@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 DEFAULT_MODEL = "deepfit"
 MIN_NETWORK_POINTS = 64  # a smaller cloud is less than a network has ever seen: a jet does better
+MAX_COORDINATE = 1e150  # squares of differences must be finite
 
 Vector = tuple[float, float, float]
 
@@ -79,13 +80,14 @@ def estimate(points: NDArray[Any] | Cloud, **options: Any) -> NDArray[np.float64
         A row is NaN where a point is not finite or its neighbors are collinear or coincide.
 
     Raises:
-        InputError: fewer than three different finite points.
+        InputError: fewer than three different finite points, or coordinates beyond 1e150.
         UsageError: an option is out of range or contradicts another.
         ModelError: there is no such model.
         ResourceError: the device is not there.
     """
     cloud = points if isinstance(points, Cloud) else Cloud(np.asarray(points, dtype=np.float64))
-    result, _ = _estimate_cloud(cloud, EstimateOptions(**options), StageTimer())
+    chosen = EstimateOptions(**options)
+    result, _ = _estimate_cloud(cloud, chosen, _make_estimator(chosen), StageTimer())
     if isinstance(points, Cloud):
         return result
     assert result.normals is not None
@@ -105,15 +107,17 @@ def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[
         points_per_second (of estimation and orientation), peak_memory_mb, warnings.
 
     Raises:
-        InputError: a file cannot be read or written, or the cloud has no three different finite points.
+        InputError: a file cannot be read or written, or as `estimate`.
         UsageError, ModelError, ResourceError: as `estimate`.
     """
     timer = StageTimer()
-    formats.check_target(target, overwrite=options.force)
+    formats.check_target(target, encoding=options.encoding, overwrite=options.force)
+    with timer.stage("model"):
+        estimator = _make_estimator(options)  # before the cloud, which may take minutes to read
     with timer.stage("read"):
         cloud = formats.read(source)
     try:
-        result, facts = _estimate_cloud(cloud, options, timer)
+        result, facts = _estimate_cloud(cloud, options, estimator, timer)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     busy = timer.seconds["estimate"] + timer.seconds["orient"]
@@ -133,7 +137,9 @@ def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[
     }
 
 
-def _estimate_cloud(cloud: Cloud, options: EstimateOptions, timer: StageTimer) -> tuple[Cloud, dict[str, Any]]:
+def _estimate_cloud(
+    cloud: Cloud, options: EstimateOptions, estimator: Estimator, timer: StageTimer
+) -> tuple[Cloud, dict[str, Any]]:
     """The cloud with normals and attributes, and valid, model, orient and warnings of the summary."""
     from jetnormal.geometry.neighbors import distinct
     from jetnormal.geometry.orient import orient
@@ -141,21 +147,25 @@ def _estimate_cloud(cloud: Cloud, options: EstimateOptions, timer: StageTimer) -
     method, viewpoint = _orientation(options, cloud)
     with timer.stage("clean"):
         rows = np.flatnonzero(cloud.valid)
-        first, copies = distinct(cloud.points[rows])
-        points = cloud.points[rows[first]]
+        points = cloud.points[rows]
+        largest = max(points.max(initial=0), -points.min(initial=0))
+        if largest > MAX_COORDINATE:
+            raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
+        first, copies = distinct(points)
+        points = points[first]
     if len(points) < 3:
         raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
-    with timer.stage("model"):
-        estimator, warnings = _estimator_for(options, len(points))
+    estimator, warnings = _suited_to(len(points), estimator, options)
     with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
         prediction = estimator(points, advance=advance)
     with timer.stage("orient"):
         normals = orient(points, prediction.normals, method, viewpoint=viewpoint)
 
     full_normals = _spread(normals.astype(np.float64), copies, rows, len(cloud))
+    found = _attributes(prediction, normals, options)
+    warnings += [f"attribute {name!r} of the input is replaced" for name in found if name in cloud.attributes]
     attributes = cloud.attributes | {
-        name: _spread(values, copies, rows, len(cloud))
-        for name, values in _attributes(prediction, normals, options).items()
+        name: _spread(values, copies, rows, len(cloud)) for name, values in found.items()
     }
     valid = int(np.isfinite(full_normals).all(axis=1).sum())
     warnings += _gaps(len(cloud) - len(rows), len(rows) - valid)
@@ -166,41 +176,56 @@ def _estimate_cloud(cloud: Cloud, options: EstimateOptions, timer: StageTimer) -
     return result, {"valid": valid, "model": estimator.name, "orient": method, "warnings": warnings}
 
 
-def _estimator_for(options: EstimateOptions, count: int) -> tuple[Estimator, list[str]]:
+def _make_estimator(options: EstimateOptions) -> Estimator:
+    """The estimator asked for. What is wrong with the options, whatever the cloud, shows here."""
+    from jetnormal.estimators import make_estimator
+    from jetnormal.geometry.orient import Method
+
+    methods = ("auto", *get_args(Method))
+    if options.orient not in methods:
+        raise UsageError(f"there is no orientation {options.orient!r}; choose from {', '.join(methods)}")
+    viewpoint = options.viewpoint
+    if viewpoint is not None and (np.shape(viewpoint) != (3,) or not np.isfinite(viewpoint).all()):
+        raise UsageError("--viewpoint takes three finite numbers")
+    if viewpoint is not None and options.orient not in ("auto", "viewpoint"):
+        raise UsageError(f"--viewpoint contradicts --orient {options.orient}: leave one of them out")
+    model = DEFAULT_MODEL if options.model == "auto" else options.model
+    iterations = options.iterations if options.iterations != 1 else None
+    estimator = make_estimator(model, k=options.k, order=options.order, iterations=iterations, **_resources(options))
+    if options.curvature and estimator.name.startswith("pca"):
+        raise UsageError("pca fits a plane, which has no curvature; choose a network or jet")
+    return estimator
+
+
+def _resources(options: EstimateOptions) -> dict[str, Any]:
+    return {"batch_size": options.batch_size, "device": options.device, "threads": options.threads}
+
+
+def _suited_to(count: int, estimator: Estimator, options: EstimateOptions) -> tuple[Estimator, list[str]]:
     """The estimator for a cloud of so many points, and what to say if it is not quite the one asked for."""
     from jetnormal.estimators import make_estimator
 
-    model = DEFAULT_MODEL if options.model == "auto" else options.model
-    iterations = options.iterations if options.iterations != 1 else None
-    common: dict[str, Any] = {"batch_size": options.batch_size, "device": options.device, "threads": options.threads}
-    estimator = make_estimator(model, k=options.k, order=options.order, iterations=iterations, **common)
-    if options.curvature and estimator.name.startswith("pca"):
-        raise UsageError("pca fits a plane, which has no curvature; choose a network or jet")
     if count >= estimator.neighbors:
         return estimator, []
     if count < MIN_NETWORK_POINTS and not estimator.name.startswith(("pca", "jet")):
-        jet = make_estimator("jet", k=max(3, count), **common)
+        jet = make_estimator("jet", k=max(3, count), **_resources(options))
         return jet, [f"{count} points are too few for {estimator.name}: a jet was fitted to all of them instead"]
     return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
 
 
 def _orientation(options: EstimateOptions, cloud: Cloud) -> tuple[Any, Vector | None]:
-    """The method that settles the signs, and its viewpoint."""
+    """The method that settles the signs, and its viewpoint: the one given, else the file's."""
     from jetnormal.geometry.orient import choose_method
 
+    if options.viewpoint is not None:
+        return "viewpoint", options.viewpoint
     known = cloud.source.viewpoint
-    viewpoint = options.viewpoint
-    if viewpoint is not None and not np.isfinite(viewpoint).all():
-        raise UsageError("--viewpoint takes three finite numbers")
-    if viewpoint is not None and options.orient not in ("auto", "viewpoint"):
-        raise UsageError(f"--viewpoint contradicts --orient {options.orient}: leave one of them out")
-    if viewpoint is None and known is not None:
-        viewpoint = (known[0], known[1], known[2])
-    if options.orient == "viewpoint" and viewpoint is None:
+    method = choose_method(known) if options.orient == "auto" else options.orient
+    if method != "viewpoint":
+        return method, None
+    if known is None or not np.isfinite(known[:3]).all():
         raise UsageError("--orient viewpoint needs --viewpoint X,Y,Z: the file does not tell one")
-    if options.orient != "auto":
-        return options.orient, viewpoint
-    return ("viewpoint" if options.viewpoint is not None else choose_method(known)), viewpoint
+    return method, (known[0], known[1], known[2])
 
 
 def _spread(

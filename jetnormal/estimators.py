@@ -234,6 +234,9 @@ def make_estimator(
     given = {"k": k, "order": order, "iterations": iterations} | settings
     chosen: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     common: dict[str, Any] = {"batch_size": batch_size, "threads": threads}
+    for key, value in common.items():
+        if value is not None and value < 1:
+            raise UsageError(f"{key} must be at least 1, not {value}")
     if name == "pca":
         return pca_estimator(**_only(chosen, name, "k"), **common)
     if name == "jet":

@@ -69,7 +69,7 @@ def test_an_interrupt_exits_with_130_and_leaves_nothing(tmp_path):
     command = [*PROGRAM, str(MILK), "-o", str(tmp_path / "out.ply"), "--model", "jet:k=600,order=4", "-v"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        while not process.stderr.readline().startswith("jetnormal: model:"):
+        while not process.stderr.readline().startswith("jetnormal: clean:"):
             assert process.poll() is None
         process.send_signal(signal.SIGINT)  # in the middle of the fits, which take some seconds
         process.stderr.read()

@@ -7,7 +7,8 @@ import pytest
 
 import jetnormal
 from jetnormal import Cloud, formats
-from jetnormal.errors import InputError, UsageError
+from jetnormal.cloud import Source
+from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.estimation import EstimateOptions, estimate, estimate_file
 from jetnormal.geometry.metrics import angles
 
@@ -126,14 +127,55 @@ def test_up_and_none():
     [
         {"orient": "viewpoint"},
         {"orient": "up", "viewpoint": (0.0, 0.0, 1.0)},
+        {"orient": "north"},
         {"viewpoint": (np.nan, 0.0, 0.0)},
+        {"viewpoint": (1.0, 2.0)},
+        {"threads": 0},
+        {"batch_size": -1},
         {"model": "pca", "curvature": True},
         {"model": "pca", "order": 3},
     ],
 )
-def test_contradicting_options_are_usage_errors(options):
+def test_options_that_make_no_sense_are_usage_errors(options):
     with pytest.raises(UsageError):
         estimate(sphere(100), **({"model": "jet"} | options))
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"encoding": "morse"}, UsageError),
+        ({"orient": "up", "viewpoint": (0, 0, 1)}, UsageError),
+        ({"model": "nonesuch"}, ModelError),
+    ],
+)
+def test_wrong_options_are_told_before_the_cloud_is_read(tmp_path, options, error):
+    (tmp_path / "in.xyz").write_text("this is no cloud")
+    with pytest.raises(error):
+        estimate_file(tmp_path / "in.xyz", tmp_path / "out.ply", EstimateOptions(**({"model": "pca"} | options)))
+
+
+def test_coordinates_whose_squares_overflow_are_an_input_error():
+    points = sphere(100)
+    points[50] = 1e300
+    with pytest.raises(InputError, match=r"1e\+300"):
+        estimate(points, model="pca")
+    assert angles(estimate(sphere(100) * 1e100, model="pca"), estimate(sphere(100), model="pca")).max() < 1e-3
+
+
+def test_a_viewpoint_of_the_file_that_is_not_finite_is_none():
+    cloud = Cloud(sphere(100), source=Source(viewpoint=(np.nan, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
+    with pytest.raises(UsageError, match="--viewpoint"):
+        estimate(cloud, model="pca", orient="viewpoint")
+    assert np.isfinite(estimate(cloud, model="pca").normals).all()
+
+
+def test_a_replaced_attribute_is_told(tmp_path):
+    formats.write(Cloud(sphere(100), attributes={"confidence": np.zeros(100)}), tmp_path / "in.ply")
+    for confidence, told in ((False, []), (True, ["attribute 'confidence' of the input is replaced"])):
+        options = EstimateOptions(model="pca", confidence=confidence, force=True)
+        assert estimate_file(tmp_path / "in.ply", tmp_path / "out.ply", options)["warnings"] == told
+        assert formats.read(tmp_path / "out.ply").attributes["confidence"].any() == confidence
 
 
 def test_errors_name_the_file_and_leave_nothing_behind(tmp_path):

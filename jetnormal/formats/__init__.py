@@ -84,15 +84,17 @@ def write(
     return [f"{path}: {warning}" for warning in _losses(cloud, codec.format) + warnings]
 
 
-def check_target(path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Finds out before a long computation whether `write` would refuse this path.
+def check_target(path: str | PathLike[str], *, encoding: str | None = None, overwrite: bool = False) -> None:
+    """Finds out before a long computation whether `write` would refuse this path or encoding.
 
     Raises:
         InputError: if the suffix is unknown, the file exists and may not be overwritten, or its folder is
             missing or not writable.
+        UsageError: if the format has no such encoding.
     """
-    _codec(Path(path))
-    atomic.check_target(Path(path), overwrite)
+    path = Path(path)
+    _choose_encoding(Source(), _codec(path), encoding, path)
+    atomic.check_target(path, overwrite)
 
 
 def _codec(path: Path) -> Codec:
