@@ -2,9 +2,9 @@
 
     python benchmarks/speed.py [--points 100000] [--repeats 3] [--model deepfit --model pca:k=30 ...]
 
-The cloud is a bumpy solid with a little noise (0.25 % of its diagonal), sampled from seed 1; nothing is downloaded. Each
-model runs in a process of its own, so that its peak memory is its own; the time is the median over the repeats, from an
-array of points to unoriented normals, imports apart. The ratio is to Open3D's estimate_normals with k = 30.
+The cloud is a procedural solid with a little noise (0.25 % of its diagonal), from seed 1; nothing is downloaded.
+Each model runs in a process of its own, so that its peak memory is its own; the time is the median over the repeats,
+from an array of points to unoriented normals, imports apart. The ratio is to Open3D's estimate_normals with k = 30.
 """
 
 from __future__ import annotations
