@@ -215,8 +215,9 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list
     """Writes rows of numbers, each in the shortest text that reads back to the same value.
 
     A file read from the same suffix keeps its delimiter, names, count line and comments. New normals have the
-    precision of float32. CSV files always have a line of names; other new files have one, as a comment, only
-    if there are attributes, since strict readers of plain ``x y z nx ny nz`` rows stop at it.
+    precision of float32. CSV files always have a line of names; other new files but PTS have one, as a comment,
+    only if there are attributes, since strict readers of plain ``x y z nx ny nz`` rows stop at it. Where names
+    are missing that `read` would not guess, a warning tells them.
 
     Returns:
         What could not be kept.
@@ -236,11 +237,19 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list
     if header:
         names = style.delimiter.join(style.spelling.get(name, name) for name in columns)
         stream.write(_encode(names if header == "plain" else f"{header}{names}"))
+    elif _loses_names(columns, suffix):
+        warnings.append(f"the columns' names are not kept; they are {' '.join(columns)}")
     if style.count_line:
         stream.write(_encode(str(len(cloud))))
     for chunk in format_rows(list(columns.values()), style.delimiter):
         stream.write(chunk)
     return warnings + changed
+
+
+def _loses_names(columns: Columns, suffix: str) -> bool:
+    """Whether a reader of the numbers alone would miss the name of a column."""
+    guessed = _guess_names(list(columns.values()), suffix)
+    return any(a != b and not a.startswith("column_") for a, b in zip(columns, guessed, strict=True))
 
 
 def _new_style(suffix: str, has_attributes: bool) -> Style:

@@ -148,6 +148,26 @@ def test_names_without_rows_are_no_points(tmp_path):
     assert (tmp_path / "b.csv").read_text() == "x,y,z\n"
 
 
+def test_names_that_the_file_cannot_hold_are_told(tmp_path):
+    """A PTS file, and one that had no names, stay without: whoever reads them must know the columns."""
+    points, normals = np.eye(3), np.eye(3)
+    cloud = Cloud(points, normals, {"curvature": np.array([0.5, 0.25, 0.125])})
+    told = "the columns' names are not kept; they are x y z nx ny nz curvature"
+    assert write(cloud, tmp_path / "a.pts") == [f"{tmp_path / 'a.pts'}: {told}"]
+    (tmp_path / "b.xyz").write_text("1 0 0\n0 1 0\n0 0 1\n")
+    nameless = read(tmp_path / "b.xyz")
+    cloud = Cloud(nameless.points, normals, cloud.attributes, nameless.source)
+    assert write(cloud, tmp_path / "c.xyz") == [f"{tmp_path / 'c.xyz'}: {told}"]
+
+
+def test_columns_that_are_known_by_their_place_need_no_warning(tmp_path):
+    colors = {name: np.full(3, 7, np.uint8) for name in ("red", "green", "blue")}
+    cloud = Cloud(np.eye(3), np.eye(3), {"intensity": np.array([1.5, 2.5, 3.5])} | colors)
+    assert write(cloud, tmp_path / "a.pts") == []
+    (tmp_path / "b.xyz").write_text("1 0 0 0.1 9 9.5\n0 1 0 0.1 9 9.5\n")
+    assert write(read(tmp_path / "b.xyz"), tmp_path / "c.xyz") == []
+
+
 BAD = {
     "empty": (b"", "is empty"),
     "blank": (b" \n\n", "holds no points"),
