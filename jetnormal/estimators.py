@@ -27,6 +27,7 @@ from jetnormal.networks.checkpoint import load_model
 from jetnormal.networks.patchfit import PatchFit
 
 CHUNK_POINTS = 1_000_000  # neighbors gathered at a time, about 100 MB
+BATCH_POINTS = 250_000  # neighbors in the default batch of a classical fit, at most: large patches come in few
 Advance = Callable[[int], None]
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
@@ -157,7 +158,9 @@ def pca_estimator(k: int = 30, batch_size: int | None = None, threads: int | Non
         surface_variation = patches.variance[:, 2] / patches.variance.sum(1).clamp_min(1e-30)
         return _Fit(normals, normals, 1 - 3 * surface_variation, None)
 
-    return PatchEstimator(f"pca:k={k}", _checked_k(k), fit, batch_size or 2048, threads=threads)
+    k = _checked_k(k)
+    batch_size = batch_size or min(2048, 1 + BATCH_POINTS // k)
+    return PatchEstimator(f"pca:k={k}", k, fit, batch_size, threads=threads)
 
 
 def jet_estimator(
@@ -172,7 +175,9 @@ def jet_estimator(
         rough = torch.tensor([0.0, 0.0, 1.0]).expand(len(patches.points), 3)
         return _Fit(jet.normal, rough, agreement(rough, jet.normal), jet.curvatures()[0])
 
-    return PatchEstimator(f"jet:k={k},order={order}", _checked_k(k), fit, batch_size or 512, threads=threads)
+    k = _checked_k(k)
+    batch_size = batch_size or min(512, 1 + BATCH_POINTS // k)
+    return PatchEstimator(f"jet:k={k},order={order}", k, fit, batch_size, threads=threads)
 
 
 def network_estimator(
@@ -234,16 +239,14 @@ def make_estimator(
     given = {"k": k, "order": order, "iterations": iterations} | settings
     chosen: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     common: dict[str, Any] = {"batch_size": batch_size, "threads": threads}
-    for key, value in common.items():
-        if value is not None and value < 1:
+    for key in ("batch_size", "threads", "iterations"):
+        if (value := (common | chosen).get(key)) is not None and value < 1:
             raise UsageError(f"{key} must be at least 1, not {value}")
     if name == "pca":
         return pca_estimator(**_only(chosen, name, "k"), **common)
     if name == "jet":
         return jet_estimator(**_only(chosen, name, "k", "order"), **common)
-    _only(chosen, name, "k", "iterations")
-    if chosen.get("iterations", 1) < 1:
-        raise UsageError("iterations must be at least 1")
+    chosen = _only(chosen, name, "k", "iterations")
     return network_estimator(model, load_model(name), **chosen, **common, device=resolve_device(device))
 
 

@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from jetnormal.errors import ModelError, UsageError
-from jetnormal.estimators import make_estimator, network_estimator
+from jetnormal.estimators import BATCH_POINTS, jet_estimator, make_estimator, network_estimator, pca_estimator
 from jetnormal.geometry.metrics import angles
 from jetnormal.networks.checkpoint import save_model
 from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
@@ -154,3 +154,10 @@ def test_a_model_file_takes_settings_after_a_colon(tmp_path, network):
     found = make_estimator(f"{path}:iterations=2")(points)
     expected = network_estimator("tiny", network, iterations=2)(points)
     assert np.abs(found.normals - expected.normals).max() < 1e-5
+
+
+def test_large_patches_come_in_batches_of_bounded_memory():
+    for k in (3, 30, 500, 100_000):
+        for estimator in (pca_estimator(k), jet_estimator(k)):
+            assert 0 < estimator.batch_size * k <= BATCH_POINTS + k
+    assert pca_estimator(500, batch_size=2000).batch_size == 2000
