@@ -36,6 +36,8 @@ _LONGEST_HEADER_LINE = 65536
 class _Header:
     dtype: np.dtype[Any]
     """One point: a structured type whose fields with COUNT > 1 are sub-arrays."""
+    padding: frozenset[str]
+    """The fields that PCL calls ``_``: gaps of its structures in memory, which its binary files hold, too."""
     width: int
     height: int
     viewpoint: tuple[float, ...]
@@ -53,7 +55,7 @@ class _Header:
 
 
 def read(path: Path) -> Cloud:
-    """Reads a PCD file. Organised clouds come row after row, NaN points included.
+    """Reads a PCD file. Organised clouds come row after row, NaN points included. Padding is left out.
 
     Raises:
         InputError: if the file is no PCD file, is damaged, or holds no coordinates.
@@ -67,6 +69,7 @@ def read(path: Path) -> Cloud:
             columns = _read_binary(stream, header, size, path)
         else:
             columns = _read_compressed(stream, header, size, path)
+    columns = {name: values for name, values in columns.items() if name not in header.padding}
     source = Source(
         format="pcd",
         encoding=header.encoding,
@@ -113,6 +116,7 @@ def _interpret(entries: dict[str, list[str]], comments: tuple[str, ...], lines: 
             raise ValueError(f"field {name!r} has TYPE {kind}, SIZE {size} and COUNT {count}")
         unique = unique_name(name, [field[0] for field in described])
         described.append((unique, "<" + kind.lower() + size, () if count == 1 else (count,)))
+    padding = frozenset(field[0] for field, name in zip(described, fields, strict=True) if name == "_")
     declared = {key: int(" ".join(entries[key])) for key in ("WIDTH", "HEIGHT", "POINTS") if key in entries}
     width, height = declared.get("WIDTH", declared.get("POINTS", -1)), declared.get("HEIGHT", 1)
     if width < 0 or height < 0 or declared.get("POINTS", width * height) != width * height:
@@ -123,7 +127,7 @@ def _interpret(entries: dict[str, list[str]], comments: tuple[str, ...], lines: 
         raise ValueError("VIEWPOINT does not hold 7 numbers")
     if encoding not in ENCODINGS:
         raise ValueError(f"DATA {encoding} is none of {', '.join(ENCODINGS)}")
-    return _Header(np.dtype(described), width, height, viewpoint, encoding, comments, lines)
+    return _Header(np.dtype(described), padding, width, height, viewpoint, encoding, comments, lines)
 
 
 def _read_ascii(stream: BinaryIO, header: _Header, size: int, path: Path) -> Columns:

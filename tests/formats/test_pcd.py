@@ -105,11 +105,24 @@ def pcd(body, data="ascii", fields="x y z", size="4 4 4", kind="F F F", points=2
 
 
 def test_a_header_without_count_viewpoint_and_points(tmp_path):
-    text = "FIELDS x y z _ _\nSIZE 4 4 4 1 1\nTYPE F F F U U\nWIDTH 2\nDATA ascii\n1 2 3 4 5\nnan 5e-1 6 7 8"
+    text = "FIELDS x y z a a\nSIZE 4 4 4 1 1\nTYPE F F F U U\nWIDTH 2\nDATA ascii\n1 2 3 4 5\nnan 5e-1 6 7 8"
     (tmp_path / "a.pcd").write_bytes(text.replace("\n", "\r\n").encode())
     cloud = read(tmp_path / "a.pcd")
     np.testing.assert_array_equal(cloud.points, [[1, 2, 3], [np.nan, 0.5, 6]])
     assert [values.tolist() for values in cloud.attributes.values()] == [[4, 7], [5, 8]]
+
+
+def test_the_padding_of_pcls_structures_is_no_attribute(tmp_path):
+    """PCL's binary files of pcl::PointXYZI hold x y z, 4 bytes of padding, intensity, and 12 bytes of it."""
+    table = np.zeros(2, [("xyz", "<f4", 3), ("gap", "V4"), ("intensity", "<f4"), ("end", "V12")])
+    table["xyz"], table["intensity"] = [[1, 2, 3], [4, 5, 6]], [0.25, 0.5]
+    fields = {"fields": "x y z _ intensity _", "size": "4 4 4 1 4 1", "kind": "F F F U F U"}
+    (tmp_path / "a.pcd").write_bytes(pcd(table.tobytes(), "binary", **fields, extra="COUNT 1 1 1 4 1 12\n"))
+    cloud = read(tmp_path / "a.pcd")
+    assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"intensity": [0.25, 0.5]}
+    write(cloud, tmp_path / "b.pcd")
+    assert header_of(tmp_path / "b.pcd")["FIELDS"] == ["x", "y", "z", "intensity"]
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
