@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args, overload
+from typing import Any, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from jetnormal import formats
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
+from jetnormal.prediction import Estimator, Prediction
 from jetnormal.report import StageTimer, peak_memory_mb, progress
-
-if TYPE_CHECKING:
-    from jetnormal.estimators import Estimator, Prediction
 
 DEFAULT_MODEL = "deepfit"
 MIN_NETWORK_POINTS = 64  # a smaller cloud is less than a network has ever seen: a jet does better

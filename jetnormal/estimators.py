@@ -1,4 +1,4 @@
-"""Estimators: anything that turns points into unoriented normals, patch by patch, in bounded memory.
+"""Estimators that look at one patch at a time, in bounded memory.
 
 The classical ones fit a plane (`pca`) or a jet (`jet`) to each patch; a learned one (`PatchFit`) also turns it,
 weighs its points and corrects the result. `make_estimator` builds each from a text such as "pca:k=112".
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -25,58 +25,13 @@ from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import Patches, build_patches
 from jetnormal.networks.checkpoint import load_model
 from jetnormal.networks.patchfit import PatchFit
+from jetnormal.prediction import Prediction
+from jetnormal.report import Advance
 
 CHUNK_POINTS = 1_000_000  # neighbors gathered at a time, about 100 MB
 BATCH_POINTS = 250_000  # neighbors in the default batch of a classical fit, at most: large patches come in few
-Advance = Callable[[int], None]
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """What an estimator says of Q queries.
-
-    Attributes:
-        normals: (Q, 3) float32 unit vectors of arbitrary sign; NaN where the neighbors are collinear or coincide.
-        rough: (Q, 3) float32 unit vectors before the last step: of the plane for `jet`, of the weighted jet for a
-            corrected network; their sign is that of the normals.
-        confidence: (Q,) float32 in [0, 1]: how far the last step agreed with the one before it, 1 - angle / 90
-            degrees between rough and final normal; for `pca`, 1 - 3 times the surface variation.
-        curvatures: (Q, 2) float32 principal curvatures, the larger first, in the inverse of the cloud's unit,
-            positive where the surface bends towards the normal; None for a plane.
-    """
-
-    normals: NDArray[np.float32]
-    rough: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    curvatures: NDArray[np.float32] | None
-
-
-class Estimator(Protocol):
-    """Points in, unoriented normals out."""
-
-    @property
-    def name(self) -> str:
-        """What the estimator is called, with its settings."""
-        ...
-
-    @property
-    def neighbors(self) -> int:
-        """Points in a patch; a smaller cloud gets patches of all its points."""
-        ...
-
-    def __call__(
-        self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
-    ) -> Prediction:
-        """Estimates normals.
-
-        Args:
-            points: (N, 3) finite coordinates, N >= 3.
-            queries: (Q,) indices of the points to estimate; None means all.
-            advance: called with the number of points just done.
-        """
-        ...
 
 
 @dataclass(frozen=True)

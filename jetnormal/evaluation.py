@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 from jetnormal.errors import InputError, UsageError
 from jetnormal.geometry.metrics import angles, pgp, rmse
 from jetnormal.pcpnet import cloud_names, query_count, read_cloud, read_list
+from jetnormal.prediction import Estimator
 from jetnormal.report import Advance, logger, progress
-
-if TYPE_CHECKING:
-    from jetnormal.estimators import Estimator
 
 TEST_LIST = "testset_all.txt"
 CATEGORY_LISTS = {

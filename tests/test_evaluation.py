@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jetnormal.errors import InputError, ModelError, UsageError
-from jetnormal.estimators import Prediction
 from jetnormal.evaluation import categorize, evaluate
 from jetnormal.pcpnet import query_count
+from jetnormal.prediction import Prediction
 
 
 def write_sphere(folder, name, radius=1.0, count=400, queries=None):
