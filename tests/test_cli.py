@@ -269,7 +269,12 @@ def test_a_signal_ends_the_process_with_its_code_and_leaves_no_unfinished_file(t
     number = getattr(signal, name)
     code = SLOW_WRITE + STAND_IN.format(action="write_slowly(arguments[1])")
     process = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # nohup and & let children ignore some signals
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,8 @@ def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(tmp_path, ar
 
 def test_an_interrupt_exits_with_130_and_leaves_nothing(tmp_path):
     command = [*PROGRAM, str(MILK), "-o", str(tmp_path / "out.ply"), "--model", "jet:k=600,order=4", "-v"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's & lets children ignore it
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heed) as process:
         assert process.stderr is not None
         while not process.stderr.readline().startswith("jetnormal: clean:"):
             assert process.poll() is None
