@@ -85,7 +85,7 @@ def estimate(points: NDArray[Any] | Cloud, **options: Any) -> NDArray[np.float64
     """
     cloud = points if isinstance(points, Cloud) else Cloud(np.asarray(points, dtype=np.float64))
     chosen = EstimateOptions(**options)
-    result, _ = _estimate_cloud(cloud, chosen, _make_estimator(chosen), StageTimer())
+    result, _ = estimate_cloud(cloud, chosen, prepare_estimator(chosen), StageTimer())
     if isinstance(points, Cloud):
         return result
     assert result.normals is not None
@@ -111,11 +111,11 @@ def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[
     timer = StageTimer()
     formats.check_target(target, encoding=options.encoding, overwrite=options.force)
     with timer.stage("model"):
-        estimator = _make_estimator(options)  # before the cloud, which may take minutes to read
+        estimator = prepare_estimator(options)  # before the cloud, which may take minutes to read
     with timer.stage("read"):
         cloud = formats.read(source)
     try:
-        result, facts = _estimate_cloud(cloud, options, estimator, timer)
+        result, facts = estimate_cloud(cloud, options, estimator, timer)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     busy = timer.seconds["estimate"] + timer.seconds["orient"]
@@ -135,10 +135,23 @@ def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[
     }
 
 
-def _estimate_cloud(
+def estimate_cloud(
     cloud: Cloud, options: EstimateOptions, estimator: Estimator, timer: StageTimer
 ) -> tuple[Cloud, dict[str, Any]]:
-    """The cloud with normals and attributes, and valid, model, orient and warnings of the summary."""
+    """Estimates the normals of a cloud, for other jobs that begin with it.
+
+    Args:
+        cloud: the cloud; its own normals do not count.
+        options: how.
+        estimator: what `prepare_estimator` made of the same options.
+        timer: takes the stages clean, estimate and orient.
+
+    Returns:
+        The cloud with normals and attributes, and valid, model, orient and warnings of the summary.
+
+    Raises:
+        InputError, UsageError: as `estimate`.
+    """
     from jetnormal.geometry.neighbors import distinct
     from jetnormal.geometry.orient import orient
 
@@ -174,8 +187,12 @@ def _estimate_cloud(
     return result, {"valid": valid, "model": estimator.name, "orient": method, "warnings": warnings}
 
 
-def _make_estimator(options: EstimateOptions) -> Estimator:
-    """The estimator asked for. What is wrong with the options, whatever the cloud, shows here."""
+def prepare_estimator(options: EstimateOptions) -> Estimator:
+    """The estimator asked for. What is wrong with the options, whatever the cloud, shows here.
+
+    Raises:
+        UsageError, ModelError, ResourceError: as `estimate`.
+    """
     from jetnormal.estimators import make_estimator
     from jetnormal.geometry.orient import Method
 
