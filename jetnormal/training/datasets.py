@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import InputError, UsageError
+from jetnormal.formats.meshes import MESH_SUFFIXES
 from jetnormal.pcpnet import cloud_names, read_cloud
 from jetnormal.training.corruption import Surface, scan
-from jetnormal.training.meshes import MESH_SUFFIXES, MeshSampler, load_mesh
+from jetnormal.training.meshes import MeshSampler, load_mesh
 from jetnormal.training.shapes import random_solid
 
 TRAINING_LIST = "trainingset_whitenoise.txt"

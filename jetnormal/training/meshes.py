@@ -2,79 +2,32 @@
 
 from __future__ import annotations
 
-import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from jetnormal._open3d import import_open3d
 from jetnormal.errors import InputError
+from jetnormal.formats.meshes import read_mesh
+from jetnormal.mesh import Mesh
 
-MESH_SUFFIXES = (".npz", ".ply", ".obj", ".off", ".stl")
 CREASE_DEGREES = 35.0  # neighbouring faces that turn by more meet in a sharp edge
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """Triangles with shared vertices.
-
-    Attributes:
-        vertices: (V, 3) float64.
-        faces: (F, 3) int64 indices into `vertices`, counter-clockwise seen from outside.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-
-
 def load_mesh(path: Path | str) -> Mesh:
-    """Reads a triangle mesh from .npz (arrays `vertices` and `faces`), .ply, .obj, .off or .stl.
+    """Reads a triangle mesh.
 
     Vertices at exactly the same place become one, so that STL triangles know their neighbours.
 
     Raises:
-        InputError: The file is missing, of another type or unreadable, has no faces, has vertices that are
-            not finite, or faces that name vertices which do not exist or that are all degenerate.
+        InputError: as `formats.meshes.read_mesh`, and if all faces are degenerate.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    suffix = path.suffix.lower()
-    if suffix not in MESH_SUFFIXES:
-        raise InputError(f"{path}: not a mesh format that is read here ({' '.join(MESH_SUFFIXES)})")
-    vertices, faces = _read_npz(path) if suffix == ".npz" else _read_with_open3d(path)
-    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or len(faces) == 0:
-        raise InputError(f"{path}: holds no triangles; vertices and faces must be of shape (V, 3) and (F, 3)")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(f"{path}: a face names a vertex that does not exist (there are {len(vertices)})")
-    if not np.isfinite(vertices).all():
-        raise InputError(f"{path}: has vertices that are not finite")
-    if not np.cross(*np.diff(vertices[faces], axis=1).swapaxes(0, 1)).any():
+    mesh = read_mesh(path)
+    if not mesh.area_vectors().any():
         raise InputError(f"{path}: all its faces are degenerate")
-    vertices, merged = np.unique(vertices, axis=0, return_inverse=True)
-    return Mesh(vertices, merged.reshape(-1)[faces])
-
-
-def _read_npz(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    try:
-        with np.load(path) as arrays:
-            return arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64)
-    except KeyError:
-        raise InputError(f"{path}: lacks one of the arrays 'vertices' and 'faces'") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not a readable .npz file ({error})") from error
-
-
-def _read_with_open3d(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    open3d = import_open3d()
-    if open3d is None:
-        raise InputError(f"{path}: this mesh format needs Open3D; meshes in .npz do not")
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        mesh = open3d.io.read_triangle_mesh(path)  # an unreadable file gives an empty mesh
-    return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.triangles, dtype=np.int64)
+    vertices, merged = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return Mesh(vertices, merged.reshape(-1)[mesh.faces])
 
 
 class MeshSampler:
@@ -88,8 +41,7 @@ class MeshSampler:
 
     def __init__(self, mesh: Mesh) -> None:
         """Computes areas and corner normals once; the mesh must have a face with an area."""
-        corners = mesh.vertices[mesh.faces]
-        doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        corners, doubled = mesh.vertices[mesh.faces], 2 * mesh.area_vectors()
         areas = np.linalg.norm(doubled, axis=1) / 2
         self._cumulative_area = np.cumsum(areas)
         inward = _encloses_negative_volume(corners, doubled)

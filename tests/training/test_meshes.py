@@ -8,7 +8,7 @@ import pytest
 
 from jetnormal._open3d import import_open3d
 from jetnormal.errors import InputError
-from jetnormal.training import meshes
+from jetnormal.formats import meshes
 from jetnormal.training.meshes import Mesh, MeshSampler, load_mesh
 
 CUBE_VERTICES = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

@@ -1,0 +1,41 @@
+"""A triangle mesh in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with shared vertices.
+
+    Attributes:
+        vertices: (V, 3) float64.
+        faces: (F, 3) int64 indices into `vertices`, counter-clockwise seen from outside.
+        colors: (V, 3) float64 red, green and blue from 0 to 1, as on a screen (sRGB), or None.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    colors: NDArray[np.float64] | None = None
+
+    def area_vectors(self) -> NDArray[np.float64]:
+        """(F, 3) float64: along each face's normal, as long as its area."""
+        corners = self.vertices[self.faces]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+
+    def vertex_normals(self) -> NDArray[np.float64]:
+        """(V, 3) float64 unit vectors: the mean of the faces around, weighted by area; zero where it vanishes."""
+        area = self.area_vectors()
+        normals = np.stack([_sum_at(self.faces, area[:, axis], len(self.vertices)) for axis in range(3)], axis=1)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return normals / np.where(length > 0, length, 1)
+
+
+def _sum_at(faces: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[Any]:
+    """For each of `count` vertices, the sum of the values (F,) of its faces."""
+    return np.bincount(faces.ravel(), np.repeat(values, 3), count)
