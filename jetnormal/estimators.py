@@ -23,7 +23,7 @@ from jetnormal.errors import UsageError
 from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import Patches, build_patches
-from jetnormal.networks.checkpoint import load_model
+from jetnormal.networks.checkpoint import load_model, resolve
 from jetnormal.networks.patchfit import PatchFit
 from jetnormal.prediction import Prediction
 from jetnormal.report import Advance
@@ -55,6 +55,7 @@ class PatchEstimator:
         batch_size: patches fitted at a time.
         device: where they are fitted.
         threads: CPU threads; None for all cores.
+        transform: a network's learned rotations, (B, 3, 3), of patches (B, k, 3); None for a classical fit.
     """
 
     name: str
@@ -63,6 +64,7 @@ class PatchEstimator:
     batch_size: int
     device: str = "cpu"
     threads: int | None = None
+    transform: Callable[[Tensor], Tensor] | None = None
 
     def __call__(
         self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
@@ -153,7 +155,8 @@ def network_estimator(
         before = before * torch.where((before * found.refined).sum(1, keepdim=True) < 0, -1.0, 1.0)
         return _Fit(found.refined, before, agreement(before, found.refined), found.jet.curvatures()[0])
 
-    return PatchEstimator(name, _checked_k(k or network.config.neighbors), fit, batch_size or 32, device, threads)
+    k = _checked_k(k or network.config.neighbors)
+    return PatchEstimator(name, k, fit, batch_size or 32, device, threads, network.transform)
 
 
 def agreement(before: Tensor, after: Tensor) -> Tensor:
@@ -203,6 +206,16 @@ def make_estimator(
         return jet_estimator(**_only(chosen, name, "k", "order"), **common)
     chosen = _only(chosen, name, "k", "iterations")
     return network_estimator(model, load_model(name), **chosen, **common, device=resolve_device(device))
+
+
+def model_file(model: str) -> Path | None:
+    """The file that a model, given as to `make_estimator`, is loaded from; None for "pca" and "jet".
+
+    Raises:
+        UsageError, ModelError: as `make_estimator`.
+    """
+    name, _ = _parse(model)
+    return None if name in ("pca", "jet") else resolve(name)
 
 
 def _parse(model: str) -> tuple[str, dict[str, int]]:

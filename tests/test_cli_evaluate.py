@@ -27,21 +27,37 @@ def run(monkeypatch, *arguments) -> int:
     return leaving.value.code or 0
 
 
-def test_tables_have_a_row_per_category_and_a_column_per_model(folder, monkeypatch, capsys):
+def test_tables_have_a_column_per_category_and_a_row_per_model(folder, monkeypatch, capsys):
     assert run(monkeypatch, "--data", folder, "--model", "pca:k=9", "--model", "jet") == 0
     captured = capsys.readouterr()
-    rmse, pgp5, pgp10, speed = captured.out.strip().split("\n\n")
-    assert [line.split() for line in rmse.splitlines()] == [
-        ["RMSE", "(degrees)", "pca:k=9", "jet"],
-        ["none", "0.00", "0.00"],
-        ["gradient", "45.00", "45.00"],
-        ["average", "22.50", "22.50"],
-    ]
-    for table in (pgp5, pgp10):
-        assert [line.split()[1:] for line in table.splitlines()[1:]] == [["100.0"] * 2, ["75.0"] * 2, ["87.5"] * 2]
-    assert len(speed.split()) == 3
-    assert len({len(line) for line in captured.out.splitlines() if line}) == 1
+    rows = [line.split() for line in captured.out.splitlines()]
+    assert rows.count(["model", "none", "gradient", "average"]) == 3
+    for model in ("pca:k=9", "jet"):
+        assert [model, "0.00", "45.00", "22.50"] in rows  # RMSE
+        assert rows.count([model, "100.0", "75.0", "87.5"]) == 2  # PGP5 and PGP10
     assert "2 models on 2 clouds" in captured.err
+
+
+def test_formats_of_the_tables(folder, monkeypatch, capsys):
+    models = ["--data", folder, "--model", "pca:k=9", "--model", "jet", "-q"]
+    assert run(monkeypatch, *models, "--format", "markdown") == 0
+    assert "| `jet` | **0.00** | **45.00** | **22.50** |" in capsys.readouterr().out.splitlines()
+    assert run(monkeypatch, *models, "--format", "csv") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("model,category,cloud,rmse,median,pgp5,")
+    assert len(lines) == 1 + 2 * (2 + 2 + 1)
+    assert run(monkeypatch, *models, "--format", "csv", "--json") == 2
+
+
+def test_options_reach_the_evaluation(folder, tmp_path_factory, monkeypatch, capsys):
+    results = tmp_path_factory.mktemp("results")
+    (folder / "flat.pidx").write_text("1\n")
+    arguments = ["--data", folder, "--model", "jet", "--json", "-q", "--results", results, "--orient", "up"]
+    assert run(monkeypatch, *arguments, "--all-points") == 0
+    assert len(list(results.iterdir())) == 2
+    average = json.loads(capsys.readouterr().out)["models"][0]["average"]
+    assert average["sign_accuracy"] == pytest.approx((1 + 0.75) / 2)  # the true normals point down: all are flipped
+    assert average["oriented_rmse"] == pytest.approx(22.5)
 
 
 def test_json_replaces_the_tables(folder, monkeypatch, capsys):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
+from jetnormal.errors import UsageError
 from jetnormal.report import print_json
-
-if TYPE_CHECKING:
-    from jetnormal.evaluation import Evaluation, Scores
 
 
 def evaluate(
@@ -31,6 +29,20 @@ def evaluate(
             "--list", metavar="FILE", help="List of the clouds, in DIR.", show_default="testset_all.txt, else all"
         ),
     ] = None,
+    all_points: Annotated[
+        bool, typer.Option("--all-points", help="Evaluate all points, not those in NAME.pidx.")
+    ] = False,
+    orient: Annotated[
+        Literal["none", "mst", "up"], typer.Option(help="Choose signs and score them, too; estimates all points.")
+    ] = "none",
+    results: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder that keeps the normals, so that an interrupted evaluation goes on."),
+    ] = None,
+    table: Annotated[
+        Literal["rich", "markdown", "csv"] | None,
+        typer.Option("--format", help="Of the tables.", show_default="rich"),
+    ] = None,
     device: Device = "auto",
     threads: Threads = None,
     json: Json = False,
@@ -41,47 +53,48 @@ def evaluate(
 
     The protocol is that of the PCPNet benchmark: the error of a cloud is the RMSE, in degrees, of the angle
     between estimated and true normals without signs, over the points in NAME.pidx (all where there is none).
-    Clouds are averaged by category, and the categories once more. PGP is the share of points whose error is
-    below 5 or 10 degrees.
+    Clouds are averaged by category, and the categories once more. A category is known by PCPNet's lists in DIR,
+    else by the ends of the names.
+
+    PGP is the share of points whose error is below 5 or 10 degrees, and AUC30 the area under the curve of that
+    share up to 30 degrees. The RMSE to clean compares noisy clouds with the nearest normal of their clean twin.
+    --orient adds the RMSE with signs and the share of right signs, each for the better of the two global signs.
+    Points/s counts the normals estimated and the time from points to normals; with a few points in NAME.pidx,
+    much of that is the search structure over all points.
 
     Settings of a model follow a colon: k, order (jet) and iterations (networks).
+
+    --results keeps estimated normals, and takes them again if the model file, the cloud files, the settings and
+    the version of jetnormal are the same.
 
     \b
     Examples:
       jetnormal evaluate --data pcpnet --model deepfit
       jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112 --model jet:k=122,order=2
       jetnormal evaluate --data pcpnet --list testset_no_noise.txt --model run/model.safetensors --json
+      jetnormal evaluate --data pcpnet --model deepfit --results kept --format csv > scores.csv
     """
     set_verbosity(quiet, verbose)
+    if json and table:
+        raise UsageError(f"--json contradicts --format {table}: leave one of them out")
     from jetnormal.evaluation import evaluate
+    from jetnormal.evaluation.tables import comma_separated, make_tables, markdown, print_tables
 
-    evaluation = evaluate(data, model, list_file=list_file, device=device, threads=threads)
+    evaluation = evaluate(
+        data,
+        model,
+        list_file=list_file,
+        all_points=all_points,
+        orient=orient,
+        results=results,
+        device=device,
+        threads=threads,
+    )
     if json:
         print_json(evaluation.summary())
+    elif table == "csv":
+        typer.echo(comma_separated(evaluation), nl=False)
+    elif table == "markdown":
+        typer.echo(markdown(make_tables(evaluation)), nl=False)
     else:
-        typer.echo("\n\n".join(tables(evaluation)))
-
-
-def tables(evaluation: Evaluation) -> list[str]:
-    """Tables of RMSE, PGP5, PGP10 and speed, one column per model."""
-    measures: dict[str, Callable[[Scores], str]] = {
-        "RMSE (degrees)": lambda scores: f"{scores.rmse:.2f}",
-        "PGP5 (%)": lambda scores: f"{100 * scores.pgp5:.1f}",
-        "PGP10 (%)": lambda scores: f"{100 * scores.pgp10:.1f}",
-    }
-    models = evaluation.models
-    found = []
-    for title, show in measures.items():
-        rows = [[title, *(one.model for one in models)]]
-        rows += [[name, *(show(one.categories[name]) for one in models)] for name in models[0].categories]
-        rows.append(["average", *(show(one.average) for one in models)])
-        found.append(rows)
-    found.append([["points/s", *(f"{one.points_per_second:,.0f}" for one in models)]])
-    widths = [max(len(row[column]) for rows in found for row in rows) for column in range(1 + len(models))]
-    return ["\n".join(_line(row, widths) for row in rows) for rows in found]
-
-
-def _line(cells: list[str], widths: list[int]) -> str:
-    """The first cell to the left and the others to the right of their columns."""
-    others = (cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True))
-    return "  ".join([cells[0].ljust(widths[0]), *others])
+        print_tables(make_tables(evaluation), sys.stdout)

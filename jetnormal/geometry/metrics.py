@@ -39,17 +39,17 @@ def angles(estimated: NDArray[Any], true: NDArray[Any], *, oriented: bool = Fals
     return np.where(np.isnan(degrees), 180.0 if oriented else 90.0, degrees)
 
 
-def rmse(angles: NDArray[np.float64]) -> float:
+def rmse(angles: NDArray[Any]) -> float:
     """Root mean square of angles (N,), in their unit; NaN if there are none."""
     return float(np.sqrt(np.mean(np.square(angles)))) if len(angles) else float("nan")
 
 
-def pgp(angles: NDArray[np.float64], threshold: float) -> float:
+def pgp(angles: NDArray[Any], threshold: float) -> float:
     """Proportion of good points: the share, 0 to 1, of angles (N,) below the threshold; NaN if there are none."""
     return float(np.mean(angles < threshold)) if len(angles) else float("nan")
 
 
-def auc(angles: NDArray[np.float64], max_angle: float = 90.0) -> float:
+def auc(angles: NDArray[Any], max_angle: float) -> float:
     """Mean of the PGP over all thresholds from 0 to max_angle: the area under the curve, 0 to 1.
 
     In closed form, each angle a adding max(0, 1 - a / max_angle); NaN if there are none.

@@ -43,7 +43,7 @@ def test_rmse_pgp_and_auc_have_their_closed_forms():
     assert auc(errors, 10.0) == pytest.approx((1 + 0.7 + 0.6 + 0) / 4)
     uniform = (np.arange(1000) + 0.5) * 0.09
     thresholds = np.linspace(0, 90, 2001)
-    assert auc(uniform) == pytest.approx(np.mean([pgp(uniform, t) for t in thresholds]), abs=1e-3)
+    assert auc(uniform, 90.0) == pytest.approx(np.mean([pgp(uniform, t) for t in thresholds]), abs=1e-3)
 
 
 def test_oriented_accuracy_before_and_after_a_global_flip():
@@ -54,7 +54,7 @@ def test_oriented_accuracy_before_and_after_a_global_flip():
 
 def test_no_points_give_nan():
     none = np.empty((0, 3))
-    shares = [rmse(np.empty(0)), pgp(np.empty(0), 5), auc(np.empty(0)), *oriented_accuracy(none, none)]
+    shares = [rmse(np.empty(0)), pgp(np.empty(0), 5), auc(np.empty(0), 90), *oriented_accuracy(none, none)]
     assert np.isnan(shares).all()
 
 

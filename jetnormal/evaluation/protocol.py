@@ -1,0 +1,301 @@
+"""From a folder of clouds and a list of models to scores."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.errors import InputError, UsageError
+from jetnormal.evaluation.scores import THRESHOLDS, Scores, good_points_curve, mean_scores, score
+from jetnormal.evaluation.store import Estimate, ResultStore, digest
+from jetnormal.evaluation.zangles import ZAngles, measure_z_angles
+from jetnormal.pcpnet import (
+    CATEGORIES,
+    TEST_LIST,
+    categorize,
+    clean_twin,
+    cloud_names,
+    file_of,
+    query_count,
+    read_cloud,
+)
+from jetnormal.prediction import Estimator
+from jetnormal.report import Advance, logger, progress
+
+ORIENTATIONS = ("none", "mst", "up")  # those that need no viewpoint
+
+
+@dataclass(frozen=True)
+class CloudResult:
+    """What one model reached on one cloud.
+
+    Attributes:
+        scores: of the cloud.
+        errors: (Q,) float32 angles to the true normals at the points evaluated, in degrees, signs left aside.
+        points: number of normals estimated, at least Q.
+        seconds: that took.
+        z_angles: before and after the learned transform, of a patch network and if asked for.
+    """
+
+    scores: Scores
+    errors: NDArray[np.float32]
+    points: int
+    seconds: float
+    z_angles: ZAngles | None = None
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """What one model reached.
+
+    Attributes:
+        model: its name.
+        clouds: result on each cloud, by name.
+        names: the clouds of each category, in PCPNet's order.
+    """
+
+    model: str
+    clouds: dict[str, CloudResult]
+    names: dict[str, list[str]]
+
+    @cached_property
+    def categories(self) -> dict[str, Scores]:
+        """Means over the clouds of each category."""
+        return {key: mean_scores(self.clouds[name].scores for name in names) for key, names in self.names.items()}
+
+    @cached_property
+    def curves(self) -> dict[str, NDArray[np.float64]]:
+        """Curves of good points over `THRESHOLDS`, (61,) each, by category."""
+        return {key: good_points_curve(self.clouds[name].errors for name in names) for key, names in self.names.items()}
+
+    @property
+    def average(self) -> Scores:
+        """The mean of the categories."""
+        return mean_scores(self.categories.values())
+
+    @property
+    def points(self) -> int:
+        """Number of normals estimated."""
+        return sum(result.points for result in self.clouds.values())
+
+    @property
+    def seconds(self) -> float:
+        """What that took, neighbor search included, reading the files and choosing signs not."""
+        return sum(result.seconds for result in self.clouds.values())
+
+    @property
+    def points_per_second(self) -> float:
+        """Normals estimated in a second."""
+        return self.points / self.seconds
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of several models on the same clouds.
+
+    Attributes:
+        data: the folder.
+        clouds: the category of each cloud, by name.
+        models: results in the order in which the models were given.
+        all_points: whether all points were evaluated, whatever .pidx says.
+    """
+
+    data: Path
+    clouds: dict[str, str]
+    models: list[ModelResult]
+    all_points: bool = False
+
+    def summary(self) -> dict[str, Any]:
+        """All of it but the errors of single points as plain values, for JSON."""
+        models = [
+            {
+                "model": result.model,
+                "average": asdict(result.average),
+                "categories": {name: asdict(scores) for name, scores in result.categories.items()},
+                "clouds": {name: asdict(one.scores) for name, one in result.clouds.items()},
+                "good_points": {name: curve.round(6).tolist() for name, curve in result.curves.items()},
+                "points": result.points,
+                "seconds": result.seconds,
+                "points_per_second": result.points_per_second,
+            }
+            for result in self.models
+        ]
+        return {
+            "data": str(self.data),
+            "all_points": self.all_points,
+            "clouds": self.clouds,
+            "thresholds": THRESHOLDS.tolist(),
+            "models": models,
+        }
+
+
+def evaluate(
+    data: Path | str,
+    models: Sequence[str | Estimator],
+    *,
+    list_file: str | None = None,
+    all_points: bool = False,
+    orient: str = "none",
+    results: Path | str | None = None,
+    z_angles: bool = False,
+    device: str = "auto",
+    threads: int | None = None,
+) -> Evaluation:
+    """Compares estimators by the PCPNet protocol. One cloud is in memory at a time, and all models see it.
+
+    Args:
+        data: folder in PCPNet's layout: NAME.xyz, NAME.normals and, where not all points count, NAME.pidx.
+        models: names or files, with settings as in "jet:k=122,order=2" (see `estimators.make_estimator`), or
+            estimators.
+        list_file: name of the list in the folder, one NAME per line; None takes `testset_all.txt` where there is
+            one, else all clouds with normals.
+        all_points: whether all points count, whatever .pidx says.
+        orient: "none", or how signs are chosen (`geometry.orient`), which are then scored, too. Signs spread from
+            point to point, so that the normals of all points are estimated.
+        results: folder that keeps the normals of models given by name, and gives them back when nothing that they
+            depend on has changed; the seconds are those of the first time.
+        z_angles: whether to measure the angles between true normals and z axis before and after the learned
+            transform of patch networks.
+        device: "auto", "cpu", "cuda" or "cuda:N", for the models given by name.
+        threads: of the CPU, for the models given by name; None takes all.
+
+    Raises:
+        InputError: the list or a file of a cloud is missing, unreadable or does not fit the others.
+        UsageError: there is no model, one is given twice, or its settings are wrong.
+        ModelError: a model is unknown or damaged.
+        ResourceError: there is no such device.
+    """
+    folder = Path(data)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    if orient not in ORIENTATIONS:
+        raise UsageError(f"there is no orientation {orient!r} here; choose from {', '.join(ORIENTATIONS)}")
+    if list_file is None and (folder / TEST_LIST).is_file():
+        list_file = TEST_LIST
+    clouds = categorize(folder, cloud_names(folder, list_file))
+    store = None if results is None else ResultStore(Path(results))
+    settings = {"orient": orient, "all_points": all_points, "device": device, "threads": threads}
+    trials = _make_trials(models, settings, store)
+    logger.info("evaluating %d models on %d clouds", len(trials), len(clouds))
+    found: dict[str, dict[str, CloudResult]] = {trial.name: {} for trial in trials}
+    total = sum(query_count(folder, cloud, all_points or orient != "none") for cloud in clouds)
+    with progress("evaluating", len(trials) * total) as advance:
+        for name in clouds:
+            cloud = _Cloud.read(folder, name, all_points)
+            for trial in trials:
+                found[trial.name][name] = trial.run(cloud, orient, advance, z_angles)
+    names = _by_category(clouds)
+    return Evaluation(folder, clouds, [ModelResult(model, found[model], names) for model in found], all_points)
+
+
+def _by_category(clouds: dict[str, str]) -> dict[str, list[str]]:
+    """Names of the clouds of each category; PCPNet's categories come first."""
+    order = [category for category in CATEGORIES if category in clouds.values()]
+    order += sorted(set(clouds.values()) - set(order))
+    return {category: [name for name, own in clouds.items() if own == category] for category in order}
+
+
+@dataclass(frozen=True)
+class _Cloud:
+    """A cloud with N points, Q of which are evaluated."""
+
+    name: str
+    files: list[Path]  # that the estimates depend on
+    points: NDArray[np.float64]  # (N, 3)
+    queries: NDArray[np.int64]  # (Q,)
+    normals: NDArray[np.float64]  # (Q, 3) true ones
+    clean: NDArray[np.float64] | None  # (Q, 3) true ones of the nearest points of the clean twin
+
+    @classmethod
+    def read(cls, folder: Path, name: str, all_points: bool) -> _Cloud:
+        points, normals, queries = read_cloud(folder, name)
+        files = [file_of(folder, name, "xyz")]
+        if queries is None or all_points:
+            queries = np.arange(len(points))
+        else:
+            files.append(file_of(folder, name, "pidx"))
+        clean = None
+        if twin := clean_twin(folder, name):
+            clean = _normals_at(points[queries], *read_cloud(folder, twin)[:2])
+        return cls(name, files, points, queries, normals[queries], clean)
+
+
+def _normals_at(
+    queries: NDArray[np.float64], points: NDArray[np.float64], normals: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The normals (Q, 3) of the points nearest to queries (Q, 3)."""
+    from jetnormal.geometry.neighbors import NeighborIndex
+
+    nearest, _ = NeighborIndex(points).query(queries, 1)
+    return normals[nearest[:, 0]]
+
+
+def _make_trials(
+    models: Sequence[str | Estimator], settings: dict[str, Any], store: ResultStore | None
+) -> list[_Trial]:
+    from jetnormal.estimators import make_estimator, model_file
+
+    trials: dict[str, _Trial] = {}
+    for model in models:
+        if isinstance(model, str):
+            estimator: Estimator = make_estimator(model, device=settings["device"], threads=settings["threads"])
+            file = model_file(model)
+            facts = settings | {"model": estimator.name, "file": digest(file) if file and store else None}
+            trial = _Trial(model, estimator, facts, store)
+        else:
+            trial = _Trial(model.name, model, {}, None)
+        if trial.name in trials:
+            raise UsageError(f"model {trial.name} is given twice")
+        trials[trial.name] = trial
+    if not trials:
+        raise UsageError("there is no model to evaluate: give at least one")
+    return list(trials.values())
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A model, and where its estimates are kept: `facts` are what they depend on beside the cloud."""
+
+    name: str
+    estimator: Estimator
+    facts: dict[str, Any]
+    store: ResultStore | None
+
+    def run(self, cloud: _Cloud, orient: str, advance: Advance, z_angles: bool) -> CloudResult:
+        """Scores the model on a cloud."""
+        estimate = self._kept(cloud, orient, advance)
+        scores, errors = score(estimate.normals, cloud.normals, cloud.clean, signs=orient != "none")
+        logger.debug("%s, %s: RMSE %.2f degrees", cloud.name, self.name, scores.rmse)
+        angles = measure_z_angles(self.estimator, cloud.points, cloud.queries, cloud.normals) if z_angles else None
+        return CloudResult(scores, errors, estimate.points, estimate.seconds, angles)
+
+    def _kept(self, cloud: _Cloud, orient: str, advance: Advance) -> Estimate:
+        """The estimate that was kept, or a new one, which is kept."""
+        if self.store is None:
+            return self._estimate(cloud, orient, advance)
+        path = self.store.path(cloud.name, self.facts | {"cloud": digest(*cloud.files)})
+        estimate = self.store.load(path)
+        if estimate:
+            advance(estimate.points)
+            return estimate
+        estimate = self._estimate(cloud, orient, advance)
+        self.store.save(path, estimate)
+        return estimate
+
+    def _estimate(self, cloud: _Cloud, orient: str, advance: Advance) -> Estimate:
+        from jetnormal.geometry.orient import orient as choose_signs
+
+        rows = cloud.queries if orient == "none" else np.arange(len(cloud.points))
+        start = time.perf_counter()
+        normals = self.estimator(cloud.points, rows, advance).normals
+        seconds = time.perf_counter() - start
+        if orient != "none":
+            normals = choose_signs(cloud.points, normals, orient)[cloud.queries]  # type: ignore[arg-type]
+        return Estimate(normals, len(rows), seconds)

@@ -1,0 +1,95 @@
+"""Estimated normals kept on disk, so that an interrupted evaluation goes on where it stopped."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import jetnormal
+from jetnormal.errors import InputError
+from jetnormal.formats.atomic import atomic_write
+from jetnormal.report import logger
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a model said of a cloud.
+
+    Attributes:
+        normals: (Q, 3) float32 of the points evaluated.
+        points: number of points whose normals were estimated, at least Q.
+        seconds: that took, neighbor search included, reading the files and choosing signs not.
+    """
+
+    normals: NDArray[np.float32]
+    points: int
+    seconds: float
+
+
+class ResultStore:
+    """A folder with one file per model, settings and cloud.
+
+    A file is found again only if all is the same: the bytes of the model file and of the cloud's files, the settings,
+    the version of the program. What is no longer the same stays in the folder, unread.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Creates the folder if need be.
+
+        Raises:
+            InputError: it cannot be created.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another --results") from error
+        self._folder = folder
+
+    def path(self, cloud: str, facts: dict[str, Any]) -> Path:
+        """Where the estimate lies, or would lie, that `facts`, plain values with "model" among them, lead to."""
+        text = json.dumps(facts | {"version": jetnormal.__version__}, sort_keys=True)
+        model = re.sub(r"[^\w.,=-]+", "_", facts["model"])[-60:]
+        return self._folder / f"{cloud}.{model}.{hashlib.sha256(text.encode()).hexdigest()[:16]}.npz"
+
+    def load(self, path: Path) -> Estimate | None:
+        """What `save` wrote there; None if it did not, or something damaged it since."""
+        if not path.is_file():
+            return None
+        try:
+            with np.load(path) as arrays:
+                return Estimate(arrays["normals"], int(arrays["points"]), float(arrays["seconds"]))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            logger.warning("%s: damaged (%s); estimating anew", path, error)
+            return None
+
+    def save(self, path: Path, estimate: Estimate) -> None:
+        """Keeps an estimate.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        with atomic_write(path, overwrite=True) as stream:
+            np.savez(stream, normals=estimate.normals, points=estimate.points, seconds=estimate.seconds)
+
+
+def digest(*paths: Path) -> str:
+    """A fingerprint of what is in the files, in their order.
+
+    Raises:
+        InputError: one cannot be read.
+    """
+    found = hashlib.sha256()
+    for path in paths:
+        try:
+            found.update(hashlib.sha256(path.read_bytes()).digest())
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}") from error
+    return found.hexdigest()
