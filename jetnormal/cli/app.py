@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 import jetnormal
+from jetnormal.cli.dataset import dataset
 from jetnormal.cli.estimate import estimate
 from jetnormal.cli.evaluate import evaluate
 from jetnormal.cli.failures import report_failure
@@ -25,6 +26,7 @@ app = typer.Typer(
 app.command()(estimate)
 app.command()(evaluate)
 app.command()(train)
+app.command()(dataset)
 
 
 def _print_version(wanted: bool) -> None:
@@ -46,6 +48,7 @@ def describe(
       jetnormal estimate scan.ply -o scan_normals.ply
       jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112
       jetnormal train --data pcpnet -o run
+      jetnormal dataset --synthetic 8 -o benchmark
       jetnormal estimate --help
 
     \b

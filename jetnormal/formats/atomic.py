@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all."""
+"""Files and folders that appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -66,3 +66,36 @@ def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); {advice}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Makes a temporary folder beside `path` that takes its name when the block ends without an exception.
+
+    A folder that is there already is replaced then, so that the caller must have asked for that. On any exception,
+    Ctrl-C included, the temporary folder is removed and `path` stays as it was.
+
+    Raises:
+        InputError: if the folder above is missing or not writable, or if writing fails.
+    """
+    target = path.resolve()
+    unfinished, replaced = (target.with_name(f".{target.name[:100]}.{os.getpid()}.{end}") for end in ("tmp", "old"))
+    try:
+        unfinished.mkdir()
+        yield unfinished
+        if target.exists():
+            target.rename(replaced)
+        try:
+            unfinished.rename(target)
+        except OSError:
+            if replaced.exists():
+                replaced.rename(target)
+            raise
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: the folder {target.parent} does not exist; create it first") from error
+    except OSError as error:
+        advice = "free some space" if error.errno == errno.ENOSPC else "choose another output"
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); {advice}") from error
+    finally:
+        for leftover in (unfinished, replaced):
+            shutil.rmtree(leftover, ignore_errors=True)

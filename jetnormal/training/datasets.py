@@ -111,7 +111,7 @@ class MeshFolder:
         Raises:
             InputError: There is no mesh in the folder.
         """
-        self.paths = _meshes_in(Path(directory))
+        self.paths = meshes_in(Path(directory))
         if not self.paths:
             raise InputError(f"{directory}: holds no meshes ({' '.join(MESH_SUFFIXES)})")
         self.clouds_per_epoch = clouds_per_epoch
@@ -233,7 +233,7 @@ def _open_folder(directory: Path, list_file: str | None, clouds_per_epoch: int, 
         raise InputError(f"{directory}: no such folder")
     if any(directory.glob("*.normals")):
         return PcpnetFolder(directory, list_file)
-    if _meshes_in(directory):
+    if meshes_in(directory):
         return MeshFolder(directory, clouds_per_epoch, points)
     raise InputError(f"{directory}: holds neither PCPNet clouds (.xyz with .normals) nor meshes")
 
@@ -259,5 +259,6 @@ def _load_sampler(path: Path) -> MeshSampler:
     return MeshSampler(load_mesh(path))
 
 
-def _meshes_in(directory: Path) -> list[Path]:
+def meshes_in(directory: Path) -> list[Path]:
+    """The mesh files of a folder, by name."""
     return sorted(path for path in directory.glob("*") if path.suffix.lower() in MESH_SUFFIXES)

@@ -7,7 +7,7 @@ import resource
 import pytest
 
 from jetnormal.errors import InputError
-from jetnormal.formats.atomic import atomic_write, check_target
+from jetnormal.formats.atomic import atomic_folder, atomic_write, check_target
 
 
 def test_a_new_file_appears_with_the_usual_permissions(tmp_path):
@@ -93,3 +93,32 @@ def test_a_folder_without_write_permission(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(InputError, match="not writable"):
         check_target(tmp_path / "a", overwrite=False)
+
+
+def test_a_folder_appears_when_it_is_complete(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "old").touch()
+    with atomic_folder(tmp_path / "out") as folder:
+        (folder / "new").touch()
+        assert [path.name for path in (tmp_path / "out").iterdir()] == ["old"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["new"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("problem", [RuntimeError, KeyboardInterrupt])
+def test_any_failure_leaves_the_old_folder_and_no_other(tmp_path, problem):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "old").touch()
+    with pytest.raises(problem), atomic_folder(tmp_path / "out") as folder:
+        (folder / "new").touch()
+        raise problem
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["old"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    with pytest.raises(InputError, match="create it first"), atomic_folder(tmp_path / "absent" / "out"):
+        pass
+    with pytest.raises(InputError, match="free some space"), atomic_folder(tmp_path / "a"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert list(tmp_path.iterdir()) == []
