@@ -19,19 +19,34 @@ if TYPE_CHECKING:
     from jetnormal.evaluation import evaluate
     from jetnormal.formats import read, write
     from jetnormal.geometry.orient import orient
+    from jetnormal.mesh import Mesh
     from jetnormal.networks.checkpoint import load_model
+    from jetnormal.reconstruction import reconstruct
 
 __version__ = "0.1.0"
 
-__all__ = ["Cloud", "__version__", "estimate", "evaluate", "load_model", "orient", "read", "write"]
+__all__ = [
+    "Cloud",
+    "Mesh",
+    "__version__",
+    "estimate",
+    "evaluate",
+    "load_model",
+    "orient",
+    "read",
+    "reconstruct",
+    "write",
+]
 
 _HOMES = {
     "Cloud": "jetnormal.cloud",
+    "Mesh": "jetnormal.mesh",
     "estimate": "jetnormal.estimation",
     "evaluate": "jetnormal.evaluation",
     "load_model": "jetnormal.networks.checkpoint",
     "orient": "jetnormal.geometry.orient",
     "read": "jetnormal.formats",
+    "reconstruct": "jetnormal.reconstruction",
     "write": "jetnormal.formats",
 }
 

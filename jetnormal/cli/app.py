@@ -15,6 +15,7 @@ from jetnormal.cli.dataset import dataset
 from jetnormal.cli.estimate import estimate
 from jetnormal.cli.evaluate import evaluate
 from jetnormal.cli.failures import report_failure
+from jetnormal.cli.reconstruct import reconstruct
 from jetnormal.cli.train import train
 
 app = typer.Typer(
@@ -24,6 +25,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(estimate)
+app.command()(reconstruct)
 app.command()(evaluate)
 app.command()(train)
 app.command()(dataset)
@@ -46,6 +48,7 @@ def describe(
     \b
     Examples:
       jetnormal estimate scan.ply -o scan_normals.ply
+      jetnormal reconstruct scan.ply -o mesh.ply
       jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112
       jetnormal train --data pcpnet -o run
       jetnormal dataset --synthetic 8 -o benchmark

@@ -200,11 +200,17 @@ def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
         arrays["COLOR_0"] = np.pad(_to_light(mesh.colors), ((0, 0), (0, 1)), constant_values=1).astype("<f4")
     arrays["indices"] = mesh.faces.astype("<u4").reshape(-1, 1)
     kinds = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-    views, accessors, offset = [], [], 0
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    offset = 0
     for name, array in arrays.items():
-        view = {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": 34963 - (name != "indices")}
-        accessor = {"bufferView": len(views), "componentType": 5125 if name == "indices" else 5126}
-        accessor |= {"count": len(array), "type": kinds[array.shape[1]]}
+        view = {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes}
+        accessor = {
+            "bufferView": len(views),
+            "componentType": 5125 if name == "indices" else 5126,  # uint32, float32
+            "count": len(array),
+            "type": kinds[array.shape[1]],
+        }
         if name == "POSITION":
             accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
         views.append(view)

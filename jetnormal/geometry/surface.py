@@ -1,0 +1,137 @@
+"""What is done to a reconstructed surface: where points support it, cutting, cleaning, and what it is like."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.mesh import Mesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SUPPORT_NEIGHBORS = 8
+GAP_RADII = 3.0  # a surface that far from all points, in neighborhood radii of the nearest, bridges a gap
+OPEN_SHARE = 0.02  # of the area that bridges gaps, from which on a surface is open
+SPECK_POINTS = 30  # a component that fewer points belong to is a speck
+MERGE_DISTANCE = 1e-9  # of the size of the mesh: vertices as close as this are one
+
+
+def typical_spacing(points: Floats) -> float:
+    """The distance between neighbors, if the points (N, 3), N >= 2, were a regular grid on their surface: the median.
+
+    A disk to the k-th neighbor holds k points, each on its square of the grid.
+    """
+    k = min(SUPPORT_NEIGHBORS, len(points) - 1)
+    _, distances = NeighborIndex(points).query(points, k + 1)
+    return float(np.median(distances[:, -1])) * float(np.sqrt(np.pi / k))
+
+
+def remoteness(vertices: Floats, points: Floats) -> Floats:
+    """How far vertices (V, 3) are from the nearest of the points (N, 3), in that point's radius to 8 others; (V,)."""
+    index = NeighborIndex(points)
+    _, radii = index.query(points, min(SUPPORT_NEIGHBORS + 1, len(points)))
+    nearest, distance = index.query(vertices, 1)
+    return np.asarray(distance[:, 0] / radii[nearest[:, 0], -1])
+
+
+def gap_share(mesh: Mesh, remote: Floats) -> float:
+    """Share of the area, 0 to 1, that bridges gaps: of faces with a vertex whose remoteness (V,) exceeds 3."""
+    area = np.linalg.norm(mesh.area_vectors(), axis=1)
+    bridging = (remote[mesh.faces] > GAP_RADII).any(axis=1)
+    return float(area[bridging].sum() / max(area.sum(), 1e-300))
+
+
+def clip(mesh: Mesh, values: Floats, threshold: float) -> Mesh:
+    """The part of a mesh where values (V,), linear on each face, are at least the threshold; without colors.
+
+    Faces across the threshold are cut along it.
+    """
+    inside = values >= threshold
+    count = inside[mesh.faces].sum(axis=1)
+    one, two = mesh.faces[count == 1], mesh.faces[count == 2]
+    # Turned so that the corner that differs from the other two comes first.
+    one = _turned(one, inside[one].argmax(axis=1))
+    two = _turned(two, inside[two].argmin(axis=1))
+    edges = np.concatenate([one[:, [0, 1]], one[:, [0, 2]], two[:, [0, 1]], two[:, [0, 2]]])
+    unique, cut = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    low, high = values[unique].T
+    weight = ((threshold - low) / np.where(high != low, high - low, 1))[:, None]
+    start, end = mesh.vertices[unique[:, 0]], mesh.vertices[unique[:, 1]]
+    # cut[...] are the new vertices: two per cut face, on the edges from its first corner
+    a, b, c, d = np.split(cut.reshape(-1) + len(mesh.vertices), np.cumsum([len(one), len(one), len(two)]))
+    faces = [
+        mesh.faces[count == 3],
+        np.stack([one[:, 0], a, b], axis=1),
+        np.stack([c, two[:, 1], two[:, 2]], axis=1),
+        np.stack([c, two[:, 2], d], axis=1),
+    ]
+    return Mesh(np.concatenate([mesh.vertices, start + weight * (end - start)]), np.concatenate(faces))
+
+
+def _turned(faces: Ints, first: Ints) -> Ints:
+    """The same faces (F, 3), each beginning with its corner number `first` (F,)."""
+    return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def cleaned(mesh: Mesh) -> Mesh:
+    """The mesh with vertices at one place merged, and without degenerate faces, copies of faces and loose vertices."""
+    vertices, faces, colors = mesh.vertices, mesh.faces, mesh.colors
+    if len(vertices):
+        cell = max(float(np.ptp(vertices, axis=0).max()) * MERGE_DISTANCE, 1e-300)
+        _, first, merged = np.unique(
+            np.round((vertices - vertices[0]) / cell), axis=0, return_index=True, return_inverse=True
+        )
+        faces = first[merged.reshape(-1)][faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    faces = faces[Mesh(vertices, faces).area_vectors().any(axis=1)]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return _without_loose_vertices(Mesh(vertices, faces[np.sort(first)], colors))
+
+
+def without_specks(mesh: Mesh, points: Floats) -> Mesh:
+    """The mesh without components that are nearest to fewer than 30 of the points (N, 3); the largest one stays."""
+    labels = component_labels(mesh)
+    if not len(labels):
+        return mesh
+    nearest, _ = NeighborIndex(mesh.vertices).query(points, 1)
+    belonging = np.bincount(labels[nearest[:, 0]], minlength=labels.max() + 1)
+    keep = belonging >= min(SPECK_POINTS, belonging.max())
+    return _without_loose_vertices(replace(mesh, faces=mesh.faces[keep[labels[mesh.faces[:, 0]]]]))
+
+
+def _without_loose_vertices(mesh: Mesh) -> Mesh:
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[mesh.faces] = True
+    number = np.cumsum(used) - 1
+    colors = None if mesh.colors is None else mesh.colors[used]
+    return Mesh(mesh.vertices[used], number[mesh.faces], colors)
+
+
+def component_labels(mesh: Mesh) -> Ints:
+    """For each vertex (V,) the number of the connected component that it belongs to, from 0."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    ends = mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel()
+    graph = coo_matrix((np.ones(mesh.faces.size, dtype=np.int8), ends), (len(mesh.vertices),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def is_watertight(mesh: Mesh) -> bool:
+    """Whether every edge has two faces, one on each side."""
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    ways = edges[:, 0] * len(mesh.vertices) + edges[:, 1]
+    back = edges[:, 1] * len(mesh.vertices) + edges[:, 0]
+    return bool(len(ways) and len(np.unique(ways)) == len(ways) and np.array_equal(np.sort(ways), np.sort(back)))
+
+
+def carried(values: Floats, points: Floats, vertices: Floats) -> Floats:
+    """Values (N, C) of points (N, 3) at vertices (V, 3): of the nearest four, weighted by inverse squared distance."""
+    index, distance = NeighborIndex(points).query(vertices, min(4, len(points)))
+    weight = 1 / np.maximum(distance, 1e-3 * distance.mean(axis=1, keepdims=True) + 1e-300) ** 2
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.asarray(np.einsum("vk,vkc->vc", weight, values[index]))
