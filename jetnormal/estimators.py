@@ -156,7 +156,7 @@ def network_estimator(
         return _Fit(found.refined, before, agreement(before, found.refined), found.jet.curvatures()[0])
 
     k = _checked_k(k or network.config.neighbors)
-    return PatchEstimator(name, k, fit, batch_size or 32, device, threads, network.transform)
+    return PatchEstimator(name, k, fit, batch_size or network.weights.batch, device, threads, network.transform)
 
 
 def agreement(before: Tensor, after: Tensor) -> Tensor:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import builtins
 import csv
+import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from jetnormal.networks.checkpoint import load_model
 from jetnormal.networks.patchfit import CONFIGS
 from jetnormal.training import loop
 from jetnormal.training.datasets import MeshFolder, Mixture, PcpnetFolder, SyntheticSolids
+from jetnormal.training.losses import LossWeights
 
 TINY = ["--config", "small", "--width", "0.125", "--transform-width", "0.125", "--neighbors", "16", "--epochs", "1"]
 TINY += ["--batch-size", "16", "--patches-per-cloud", "32", "--clouds-per-epoch", "1", "--points-per-cloud", "300"]
@@ -132,7 +134,7 @@ def test_tensorboard_that_is_absent_is_named(pcpnet, tmp_path, monkeypatch, caps
 def test_defaults_are_the_papers(handed_over, monkeypatch):
     assert run(monkeypatch, "--synthetic", "--device", "cpu") == 0
     ((config, source, folder, options, others),) = handed_over
-    assert config == CONFIGS["paper"]
+    assert config == CONFIGS["paper"]["deepfit"]
     assert isinstance(source, SyntheticSolids)
     assert source.clouds_per_epoch == SyntheticSolids().clouds_per_epoch
     assert vars(source) == vars(SyntheticSolids())
@@ -141,22 +143,37 @@ def test_defaults_are_the_papers(handed_over, monkeypatch):
     assert others == {"validation": None, "resume": False, "tensorboard": False}
 
 
+@pytest.mark.parametrize("model", ["deepfit", "adafit", "graphfit"])
+def test_published_baselines_are_a_matter_of_two_options(model, handed_over, monkeypatch):
+    arguments = ["--synthetic", "--model", model, "--device", "cpu"]
+    assert run(monkeypatch, *arguments) == 0
+    assert run(monkeypatch, *arguments, "--transform", "qstn", "--no-correction") == 0
+    (both, *_, options, _), (baseline, *_, without, _) = handed_over
+    assert both == CONFIGS["paper"][model]
+    assert options.losses == LossWeights()
+    assert baseline == dataclasses.replace(both, transform="qstn", correction=False)
+    assert without.losses == LossWeights(z_direction=0)
+
+
 def test_options_reach_the_training(handed_over, pcpnet, meshes, monkeypatch):
     arguments = (
         f"--data {meshes} --data {pcpnet} --synthetic --weights 20,2,8 --clouds-per-epoch 7 --points-per-cloud 90"
     )
     arguments += f" --list validationset_whitenoise.txt --validation {pcpnet} --config small --neighbors 64 --order 2"
     arguments += " --transform qstn --no-correction --width 0.75 --transform-width 0.5 --epochs 9 --batch-size 8"
+    arguments += " --model adafit --no-offsets --lambda-z 1 --lambda-consistency 2 --lambda-sparsity 3"
+    arguments += " --lambda-regularisation 4 --lambda-offsets 5"
     arguments += " --patches-per-cloud 5 --learning-rate 2e-4 --schedule cosine --bfloat16 --seed 3 --resume -o run"
     assert run(monkeypatch, *arguments.split(), "--device", "cpu", "--tensorboard") == 0
     ((config, source, _, options, others),) = handed_over
-    assert vars(config) == vars(CONFIGS["small"]) | {
+    assert vars(config) == vars(CONFIGS["small"]["adafit"]) | {
         "neighbors": 64,
         "order": 2,
         "transform": "qstn",
         "correction": False,
         "width": 0.75,
         "transform_width": 0.5,
+        "offsets": False,
     }
     assert vars(options) == vars(loop.TrainOptions()) | {
         "epochs": 9,
@@ -165,6 +182,7 @@ def test_options_reach_the_training(handed_over, pcpnet, meshes, monkeypatch):
         "learning_rate": 2e-4,
         "schedule": "cosine",
         "bfloat16": True,
+        "losses": LossWeights(z_direction=1, consistency=2, sparsity=3, regularisation=4, offsets=5),
         "seed": 3,
         "data": f"{meshes.name} {pcpnet.name} synthetic",
     }

@@ -63,7 +63,9 @@ def train(
     points_per_cloud: Annotated[
         int, typer.Option(min=1, metavar="N", help="Largest number of points drawn from a mesh or a solid.")
     ] = 100_000,
-    model: Annotated[Literal["deepfit"], typer.Option(help="Weight predictor of the network.")] = "deepfit",
+    model: Annotated[
+        Literal["deepfit", "adafit", "graphfit"], typer.Option(help="Weight predictor of the network.")
+    ] = "deepfit",
     config: Annotated[
         Literal["paper", "small"], typer.Option(help="Network to start from: as published, or for a CPU.")
     ] = "paper",
@@ -81,6 +83,10 @@ def train(
     no_correction: Annotated[
         bool, typer.Option("--no-correction", help="Leave the normal error estimation out.")
     ] = False,
+    offsets: Annotated[
+        bool | None,
+        typer.Option("--offsets/--no-offsets", help="Move the points, too.", show_default="yes, but for deepfit"),
+    ] = None,
     width: Annotated[
         float | None,
         typer.Option(min=0.0625, metavar="F", help="Factor on the channels.", show_default="the configuration's"),
@@ -98,6 +104,20 @@ def train(
     schedule: Annotated[
         Literal["step", "cosine"], typer.Option(help="A tenth after 3/7 and 11/14 of the epochs, or a cosine to 0.")
     ] = "step",
+    lambda_z: Annotated[
+        float | None,
+        typer.Option(min=0, metavar="F", help="Factor of the z-direction loss.", show_default="2, or 0 for qstn"),
+    ] = None,
+    lambda_consistency: Annotated[
+        float, typer.Option(min=0, metavar="F", help="Of the neighbors' normals.")
+    ] = 0.25,
+    lambda_sparsity: Annotated[
+        float, typer.Option(min=0, metavar="F", help="Of -log w, times the one before.")
+    ] = 0.2,
+    lambda_regularisation: Annotated[
+        float, typer.Option(min=0, metavar="F", help="Of the feature transform.")
+    ] = 0.1,
+    lambda_offsets: Annotated[float, typer.Option(min=0, metavar="F", help="Of the squared offsets.")] = 0.1,
     bfloat16: Annotated[bool, typer.Option("--bfloat16", help="Multiply matrices in bfloat16: faster.")] = False,
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of data, order and initial weights.")] = 1,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="RUN", help="Folder of the run.")] = Path("run"),
@@ -117,6 +137,7 @@ def train(
     \b
     Examples:
       jetnormal train --data pcpnet -o run
+      jetnormal train --data pcpnet --model graphfit --transform qstn --no-correction -o baseline
       jetnormal train --data meshes --config small --schedule cosine --epochs 50 -o run
       jetnormal train --data meshes --data pcpnet --synthetic --weights 20,2,8 --validation held_out -o run
       jetnormal train --data pcpnet -o run --resume
@@ -126,6 +147,7 @@ def train(
     from jetnormal.networks.patchfit import CONFIGS
     from jetnormal.training.datasets import VALIDATION_LIST, open_dataset
     from jetnormal.training.loop import TrainOptions, train
+    from jetnormal.training.losses import LossWeights, published_losses
 
     open_source = partial(open_dataset, clouds_per_epoch=clouds_per_epoch, points=points_per_cloud)
     source = open_source(data or [], synthetic=synthetic, weights=weights, list_file=list_file)
@@ -133,10 +155,17 @@ def train(
     validation = validation or next((folder for folder in data or [] if (folder / VALIDATION_LIST).is_file()), None)
     if validation:
         held_out = open_source([validation], list_file=validation_list, default_list=VALIDATION_LIST)
-    changes = {"weights": model, "neighbors": neighbors, "order": order, "transform": transform, "width": width}
+    changes = {"neighbors": neighbors, "order": order, "transform": transform, "width": width, "offsets": offsets}
     changes |= {"transform_width": transform_width, "correction": False if no_correction else None}
     given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
-    network = dataclasses.replace(CONFIGS[config], **given)
+    network = dataclasses.replace(CONFIGS[config][model], **given)
+    losses = LossWeights(
+        consistency=lambda_consistency,
+        regularisation=lambda_regularisation,
+        z_direction=published_losses(network).z_direction if lambda_z is None else lambda_z,
+        sparsity=lambda_sparsity,
+        offsets=lambda_offsets,
+    )
     options = TrainOptions(
         epochs=epochs,
         batch_size=batch_size,
@@ -146,6 +175,7 @@ def train(
         seed=seed,
         device=resolve_device(device),
         bfloat16=bfloat16,
+        losses=losses,
         data=" ".join([folder.resolve().name for folder in data or []] + ["synthetic"] * synthetic),
     )
     with torch_threads(threads):

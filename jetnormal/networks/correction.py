@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from jetnormal.networks.layers import PointLayer, maximum
+from jetnormal.networks.layers import PointLayer
 
 
 class NormalError(nn.Module):
@@ -24,7 +24,7 @@ class NormalError(nn.Module):
 
     def forward(self, features: Tensor, rough: Tensor) -> Tensor:
         """(B, k, C) point features and (B, 3) rough unit normals to (B, 3) refined unit normals."""
-        summary = maximum(self.pooled(features), 1)
+        summary = self.pooled.peak(features)
         residual = self.query(torch.cat([summary.float(), rough], dim=1)).float().tanh()
         return normalize(rough + residual, dim=1)
 

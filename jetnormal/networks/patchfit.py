@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 from torch import Tensor, nn
 
 from jetnormal.geometry.jet import MAX_ORDER, Jet, fit_jet
+from jetnormal.networks.adafit import AdaFit
 from jetnormal.networks.correction import NormalError
 from jetnormal.networks.deepfit import DeepFit
+from jetnormal.networks.graphfit import GraphFit
 from jetnormal.networks.layers import PointLayer, full_precision
 from jetnormal.networks.ztransform import QSTN, ZTransform, rotation_to_z
 
@@ -20,7 +21,7 @@ class PatchFitConfig:
     """What rebuilds a PatchFit network.
 
     Attributes:
-        weights: the weight predictor: "deepfit".
+        weights: the weight predictor: "deepfit", "adafit" or "graphfit".
         neighbors: points in a patch.
         order: order of the jet, 1 to 4.
         transform: "ztransform" (the paper's) or "qstn" (the baseline's).
@@ -29,6 +30,8 @@ class PatchFitConfig:
         transform_width: factor on the transform's channel counts; None takes `width`.
         feature_transform: whether the weight predictor has PointNet's feature transform.
         light: whether the z-direction transform is its light form.
+        offsets: whether the weight predictor also moves the points before the fit; "deepfit" with offsets is the
+            single-scale AdaFit.
 
     Raises:
         ValueError: if a number is out of range.
@@ -43,6 +46,7 @@ class PatchFitConfig:
     transform_width: float | None = None
     feature_transform: bool = True
     light: bool = False
+    offsets: bool = False
 
     def __post_init__(self) -> None:
         if self.neighbors < 3:
@@ -54,11 +58,25 @@ class PatchFitConfig:
                 raise ValueError(f"the width of a network is a positive number, not {width}")
 
 
+_PAPER = {  # as published, with both of the paper's additions
+    "deepfit": PatchFitConfig(),
+    "adafit": PatchFitConfig("adafit", neighbors=700, offsets=True),
+    "graphfit": PatchFitConfig("graphfit", neighbors=500, offsets=True),
+}
+
+
+def _small(config: PatchFitConfig) -> PatchFitConfig:
+    return replace(config, width=0.5, transform_width=0.25, feature_transform=False, light=True)
+
+
 CONFIGS = {
-    # As published: 3,734,468 parameters.
-    "paper": PatchFitConfig(),
-    # What two CPU cores train in an hour or two.
-    "small": PatchFitConfig(width=0.5, transform_width=0.25, feature_transform=False, light=True),
+    "paper": _PAPER,
+    # What two CPU cores train in hours; GraphFit on half of its points, for its edges cost most.
+    "small": {
+        "deepfit": _small(_PAPER["deepfit"]),
+        "adafit": _small(_PAPER["adafit"]),
+        "graphfit": replace(_small(_PAPER["graphfit"]), neighbors=256),
+    },
 }
 
 
@@ -68,12 +86,13 @@ class PatchPrediction:
 
     Attributes:
         rotation: (B, 3, 3) z-direction transform, `points @ rotation` has the normal near z.
-        weights: (B, k) of the fit.
+        weights: (B, m) of the m nearest points, those that are fitted.
         jet: the fit, in the rotated frame.
         rough: (B, 3) normals of the fit.
-        refined: (B, 3) corrected normals; the rough ones without a correction.
-        rough_neighbors, refined_neighbors: (B, k, 3) normals at the neighbors, if asked for.
+        refined: (B, 3) corrected normals; `rough` itself without a correction.
+        rough_neighbors, refined_neighbors: (B, m, 3) normals at the fitted points, if asked for.
         feature_transform: (B, F, F) matrices or None.
+        offsets: (B, m, 3) by which the fitted points were moved, in the rotated frame, or None.
     """
 
     rotation: Tensor
@@ -84,6 +103,10 @@ class PatchPrediction:
     rough_neighbors: Tensor | None
     refined_neighbors: Tensor | None
     feature_transform: Tensor | None
+    offsets: Tensor | None
+
+
+PREDICTORS: dict[str, type[DeepFit | AdaFit | GraphFit]] = {"deepfit": DeepFit, "adafit": AdaFit, "graphfit": GraphFit}
 
 
 class PatchFit(nn.Module):
@@ -95,8 +118,8 @@ class PatchFit(nn.Module):
         width = config.width if config.transform_width is None else config.transform_width
         transforms = {"ztransform": lambda: ZTransform(width, config.light), "qstn": lambda: QSTN(width)}
         self.transform = transforms[config.transform]()
-        predictors = {"deepfit": DeepFit}
-        self.weights = predictors[config.weights](config.width, config.feature_transform)
+        predictor = PREDICTORS[config.weights]
+        self.weights = predictor(config.width, config.feature_transform, config.offsets)
         self.correction = NormalError(self.weights.channels) if config.correction else None
 
     def forward(self, points: Tensor, iterations: int = 1, neighbors: bool = False) -> PatchPrediction:
@@ -117,25 +140,33 @@ class PatchFit(nn.Module):
         with full_precision(points):
             turned = points @ rotation
         weighting = self.weights(turned)
+        fitted = turned[:, : weighting.weights.shape[1]]
+        if weighting.offsets is not None:
+            fitted = fitted + weighting.offsets
         with full_precision(points):
-            jet = fit_jet(turned, weighting.weights, self.config.order)
-        rough = refined = jet.normal
+            jet = fit_jet(fitted, weighting.weights, self.config.order)
+        normal = jet.normal
+        rough = refined = _turned_back(normal[:, None], rotation)[:, 0]
         rough_neighbors = refined_neighbors = None
-        if self.correction is not None:
-            refined = self.correction(weighting.features, rough)
         if neighbors:
-            rough_neighbors = refined_neighbors = jet.normals_at(turned[..., :2])
-            if self.correction is not None:
-                refined_neighbors = self.correction.neighbors(weighting.features, rough_neighbors)
+            at_neighbors = jet.normals_at(fitted[..., :2])
+            rough_neighbors = refined_neighbors = _turned_back(at_neighbors, rotation)
+        if self.correction is not None:
+            corrected = self.correction(weighting.features, normal)
+            refined = _turned_back(corrected[:, None], rotation)[:, 0]
+            if neighbors:
+                corrected = self.correction.neighbors(weighting.features, at_neighbors)
+                refined_neighbors = _turned_back(corrected, rotation)
         return PatchPrediction(
             rotation=rotation,
             weights=weighting.weights,
             jet=jet,
-            rough=_turned_back(rough[:, None], rotation)[:, 0],
-            refined=_turned_back(refined[:, None], rotation)[:, 0],
-            rough_neighbors=_turned_back(rough_neighbors, rotation),
-            refined_neighbors=_turned_back(refined_neighbors, rotation),
+            rough=rough,
+            refined=refined,
+            rough_neighbors=rough_neighbors,
+            refined_neighbors=refined_neighbors,
             feature_transform=weighting.feature_transform,
+            offsets=weighting.offsets,
         )
 
     def for_inference(self) -> PatchFit:
@@ -150,10 +181,8 @@ class PatchFit(nn.Module):
         return self
 
 
-def _turned_back(normals: Any, rotation: Tensor) -> Any:
-    """(B, n, 3) normals of the rotated frame in the patch frame; None stays None."""
-    if normals is None:
-        return None
+def _turned_back(normals: Tensor, rotation: Tensor) -> Tensor:
+    """(B, n, 3) normals of the rotated frame in the patch frame."""
     with full_precision(rotation):
         return normals @ rotation.transpose(1, 2)
 

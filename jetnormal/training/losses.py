@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from jetnormal.networks.patchfit import PatchPrediction
+from jetnormal.networks.patchfit import PatchFitConfig, PatchPrediction
 
 
 @dataclass(frozen=True)
@@ -20,14 +20,21 @@ class LossWeights:
     Attributes:
         consistency: of the neighbors' normals.
         regularisation: of the feature transform.
-        z_direction: of the z-direction transform.
+        z_direction: of the z-direction transform; the baselines have no such loss.
         sparsity: of -log w inside the consistency term, which keeps the weights from vanishing (DeepFit).
+        offsets: of the squared offsets of the points (AdaFit).
     """
 
     consistency: float = 0.25
     regularisation: float = 0.1
     z_direction: float = 2.0
     sparsity: float = 0.2
+    offsets: float = 0.1
+
+
+def published_losses(config: PatchFitConfig) -> LossWeights:
+    """The factors that a configuration was published with: without the paper's transform there is no loss on its z."""
+    return LossWeights() if config.transform == "ztransform" else LossWeights(z_direction=0.0)
 
 
 def sine(estimated: Tensor, true: Tensor) -> Tensor:
@@ -36,12 +43,15 @@ def sine(estimated: Tensor, true: Tensor) -> Tensor:
 
 
 def normal_loss(prediction: PatchPrediction, normals: Tensor) -> Tensor:
-    """L_normal: the sine of the rough plus the sine of the refined normal, against (B, 3) true normals."""
-    return (sine(prediction.rough, normals) + sine(prediction.refined, normals)).mean()
+    """L_normal: the sine of the rough plus that of the refined normal, if there is one, against (B, 3) true normals."""
+    sines = sine(prediction.rough, normals)
+    if prediction.refined is not prediction.rough:
+        sines = sines + sine(prediction.refined, normals)
+    return sines.mean()
 
 
 def consistency_loss(prediction: PatchPrediction, neighbor_normals: Tensor, sparsity: float) -> Tensor:
-    """L_con: weighted sines of the jet's and the refined normals at the (B, k, 3) neighbors, minus the mean log weight.
+    """L_con: weighted sines of the jet's and the refined normals at the (B, m, 3) neighbors, minus the mean log weight.
 
     A point whose normal the fit does not explain loses weight; the logarithm forbids the empty explanation.
     """
@@ -69,10 +79,12 @@ def total_loss(
 
     Args:
         prediction: of a batch, with the neighbors' normals.
-        neighbor_normals: (B, k, 3) true normals in the patch frame; index 0 is the query.
+        neighbor_normals: (B, k, 3) true normals in the patch frame; index 0 is the query. Those of points that are
+            not fitted do not matter.
         factors: of the terms.
     """
     normals = neighbor_normals[:, 0]
+    neighbor_normals = neighbor_normals[:, : prediction.weights.shape[1]]
     terms = {
         "normal": normal_loss(prediction, normals),
         "consistency": consistency_loss(prediction, neighbor_normals, factors.sparsity),
@@ -86,4 +98,7 @@ def total_loss(
     if prediction.feature_transform is not None:
         terms["regularisation"] = orthogonality_loss(prediction.feature_transform)
         loss = loss + factors.regularisation * terms["regularisation"]
+    if prediction.offsets is not None:
+        terms["offsets"] = prediction.offsets.square().mean()
+        loss = loss + factors.offsets * terms["offsets"]
     return terms | {"loss": loss}

@@ -185,9 +185,12 @@ def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 
 def _differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Names of the entries, one level deep, that differ; those that one version of the program lacks do not."""
+    """Names of the entries, at any depth, that differ; those that one version of the program lacks do not."""
     names = []
-    for group in before.keys() & now.keys():
-        old, new = before[group], now[group]
-        names += [f"{key} was {old[key]}" for key in old.keys() & new.keys() if old[key] != new[key]]
+    for key in before.keys() & now.keys():
+        old, new = before[key], now[key]
+        if isinstance(old, dict) and isinstance(new, dict):
+            names += _differences(old, new)
+        elif old != new:
+            names.append(f"{key} was {old}")
     return sorted(names)

@@ -51,6 +51,22 @@ def test_a_loaded_network_predicts_the_same_to_the_bit(saved, network):
     assert torch.equal(loaded(points).weights, expected.weights)
 
 
+@pytest.mark.parametrize("weights", ["deepfit", "adafit", "graphfit"])
+def test_every_weight_predictor_is_saved_and_loaded(tmp_path, weights):
+    torch.manual_seed(0)
+    network = PatchFit(dataclasses.replace(CONFIG, weights=weights, neighbors=48, offsets=True))
+    torch.nn.init.normal_(network.weights.offset.weight)
+    save_model(tmp_path / "a.safetensors", network, {})
+    points = torch.randn(3, 48, 3)
+    assert torch.equal(load_model(tmp_path / "a.safetensors")(points).refined, network.for_inference()(points).refined)
+
+
+def test_a_file_from_before_a_setting_existed_is_loaded(saved, network):
+    points = torch.randn(3, 16, 3)
+    older = rewritten(saved, lambda tensors, about: about["config"].pop("offsets"))
+    assert torch.equal(load_model(older)(points).refined, network.for_inference()(points).refined)
+
+
 def test_a_file_holds_its_configuration_as_json(saved):
     tensors, description = load_tensors(saved)
     assert description["architecture"] == "patchfit"
@@ -63,6 +79,7 @@ def test_a_file_holds_its_configuration_as_json(saved):
 
 def test_every_setting_survives(tmp_path):
     config = PatchFitConfig(
+        weights="graphfit",
         neighbors=20,
         order=4,
         transform="qstn",
@@ -71,9 +88,9 @@ def test_every_setting_survives(tmp_path):
         transform_width=0.25,
         feature_transform=False,
         light=True,
+        offsets=True,
     )
-    same = [f.name for f in dataclasses.fields(config) if getattr(config, f.name) == f.default]
-    assert same in ([], ["weights"])  # there is one weight predictor to choose from
+    assert [f.name for f in dataclasses.fields(config) if getattr(config, f.name) == f.default] == []
     save_model(tmp_path / "a.safetensors", PatchFit(config), {})
     assert load_model(tmp_path / "a.safetensors").config == config
 

@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from jetnormal.networks.correction import NormalError
-from jetnormal.networks.deepfit import WEIGHT_FLOOR, DeepFit
+from jetnormal.networks.deepfit import DeepFit
 from jetnormal.networks.patchfit import parameter_count
+from jetnormal.networks.weighting import WEIGHT_FLOOR
 
 
 @pytest.fixture(autouse=True)
@@ -16,6 +17,7 @@ def seed():
 def test_parameters_are_those_of_the_publication():
     assert parameter_count(DeepFit()) == 2_728_449
     assert parameter_count(DeepFit(feature_transform=False)) == 2_728_449 - 1_857_344
+    assert parameter_count(DeepFit(offsets=True)) == 2_728_449 + 3 * (128 + 1)
 
 
 @pytest.mark.parametrize("feature_transform", [True, False])
@@ -38,6 +40,17 @@ def test_weights_stay_above_the_floor():
         network.weight.bias.fill_(bias)
         weights = network(points).weights
         assert weights.min() >= WEIGHT_FLOOR and weights.max() <= 1 + WEIGHT_FLOOR
+
+
+def test_offsets_start_at_zero_and_never_move_the_query():
+    network = DeepFit(0.125, offsets=True).eval().requires_grad_(False)
+    points = torch.randn(2, 30, 3)
+    assert torch.equal(network(points).offsets, torch.zeros(2, 30, 3))
+    torch.nn.init.normal_(network.offset.weight)
+    offsets = network(points).offsets
+    assert offsets.shape == (2, 30, 3)
+    assert not offsets[:, 0].any() and offsets[:, 1:].all()
+    assert DeepFit(0.125)(points).offsets is None
 
 
 def test_a_weight_depends_on_the_point_and_on_the_whole_patch():

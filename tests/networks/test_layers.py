@@ -61,6 +61,18 @@ def test_a_split_layer_equals_the_layer_on_the_concatenation():
     torch.testing.assert_close(layer.split(shared, features), layer(together))
 
 
+@pytest.mark.parametrize("folded", [False, True])
+def test_a_peak_is_the_maximum_over_the_points(folded):
+    layer = with_statistics(PointLayer(9, 6, nn.LeakyReLU(0.2)))
+    shared, features = torch.randn(3, 2, 5), torch.randn(3, 2, 7, 4)
+    together = torch.cat([shared[:, :, None].expand(3, 2, 7, 5), features], dim=3)
+    expected = layer(together).amax(2)
+    if folded:
+        layer.fold()
+    torch.testing.assert_close(layer.peak(together), expected)
+    torch.testing.assert_close(layer.split_peak(shared, features), expected)
+
+
 def test_folding_keeps_the_function_and_may_be_repeated():
     layer = with_statistics(PointLayer(6, 10, nn.ReLU()))
     features = torch.randn(2, 7, 6)
@@ -98,6 +110,7 @@ def test_nearest_equals_brute_force(k, channels):
     distances = (queries[:, :, None] - points[:, None]).norm(dim=3)
     expected = distances.argsort(dim=2)[:, :, :k]
     assert torch.equal(found.sort(2).values, expected.sort(2).values)
+    assert torch.equal(nearest(points, queries, k, ascending=True), expected)
 
 
 def test_a_point_is_its_own_neighbor():

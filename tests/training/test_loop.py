@@ -103,6 +103,31 @@ def test_a_run_leaves_a_network_a_state_and_metrics(finished):
     assert training["patches"] == 128 and training["options"]["learning_rate"] == 3e-3
 
 
+@pytest.mark.parametrize("weights", ["adafit", "graphfit"])
+def test_every_weight_predictor_trains_and_resumes(tmp_path, weights):
+    config = dataclasses.replace(CONFIG, weights=weights, neighbors=32, order=1, offsets=True)
+    losses = dataclasses.replace(OPTIONS.losses, offsets=0.5)
+    options = dataclasses.replace(OPTIONS, patches_per_cloud=16, losses=losses)
+    train(config, Spheres(), tmp_path / "whole", options)
+    row = {name: float(value) for name, value in metrics(tmp_path / "whole")[-1].items()}
+    total = row["normal"] + 0.25 * row["consistency"] + 2 * row["z_direction"]
+    total += 0.1 * row["regularisation"] + 0.5 * row["offsets"]
+    assert row["loss"] == pytest.approx(total, rel=1e-4)
+    assert row["offsets"] > 0
+
+    def stop(self, row):
+        if self.position.epoch == 2:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Run, "record", stop)
+        with pytest.raises(KeyboardInterrupt):
+            train(config, Spheres(), tmp_path / "halves", options)
+    train(config, Spheres(), tmp_path / "halves", options, resume=True)
+    whole, halves = (load_tensors(tmp_path / name / "model.safetensors")[0] for name in ("whole", "halves"))
+    assert all(torch.equal(whole[name], halves[name]) for name in whole)
+
+
 def test_the_same_arguments_give_the_same_run(finished, tmp_path):
     train(CONFIG, Spheres(), tmp_path / "run", OPTIONS)
     assert_same_run(finished[0], tmp_path / "run")
@@ -198,6 +223,9 @@ def test_a_run_is_not_resumed_with_other_options(finished):
     folder, _ = finished
     with pytest.raises(UsageError, match=r"other options \(learning_rate was 0.003\)"):
         train(CONFIG, Spheres(), folder, dataclasses.replace(OPTIONS, learning_rate=0.01), resume=True)
+    with pytest.raises(UsageError, match=r"other options \(z_direction was 2.0\)"):
+        losses = dataclasses.replace(OPTIONS.losses, z_direction=1.0)
+        train(CONFIG, Spheres(), folder, dataclasses.replace(OPTIONS, losses=losses), resume=True)
     with pytest.raises(UsageError, match=r"other options \(epochs was 2, order was 3\)"):
         other = dataclasses.replace(CONFIG, order=2)
         train(other, Spheres(), folder, dataclasses.replace(OPTIONS, epochs=3), resume=True)
@@ -206,6 +234,7 @@ def test_a_run_is_not_resumed_with_other_options(finished):
 def test_a_run_that_began_before_an_option_existed_is_resumed(finished, tmp_path):
     tensors, description = load_tensors(finished[0] / "state.safetensors")
     del description["facts"]["config"]["light"]
+    del description["facts"]["options"]["losses"]["offsets"]
     description["facts"]["options"]["obsolete"] = 1
     save_tensors(tmp_path / "state.safetensors", tensors, description)
     train(CONFIG, Spheres(), tmp_path, OPTIONS, resume=True)

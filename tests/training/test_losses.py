@@ -6,13 +6,14 @@ import torch
 from torch.nn.functional import normalize
 
 from jetnormal.geometry.jet import Jet
-from jetnormal.networks.patchfit import PatchPrediction
+from jetnormal.networks.patchfit import PatchFitConfig, PatchPrediction
 from jetnormal.networks.ztransform import rotation_matrix, rotation_to_z
 from jetnormal.training.losses import (
     LossWeights,
     consistency_loss,
     normal_loss,
     orthogonality_loss,
+    published_losses,
     sine,
     total_loss,
     z_direction_loss,
@@ -48,6 +49,7 @@ def prediction(normals: torch.Tensor, **changed) -> PatchPrediction:
         "rough_neighbors": normals,
         "refined_neighbors": normals,
         "feature_transform": torch.eye(8).expand(BATCH, 8, 8),
+        "offsets": None,
     }
     return PatchPrediction(**(fields | changed))
 
@@ -73,6 +75,35 @@ def test_the_normal_loss_adds_rough_and_refined():
     given = prediction(normals, rough=off_by(normals[:, 0], 30), refined=-off_by(normals[:, 0], 90))
     assert normal_loss(given, normals[:, 0]).item() == pytest.approx(1.5, abs=1e-5)
     assert normal_loss(prediction(normals), normals[:, 0]).item() < 1e-6
+
+
+def test_without_a_correction_the_normal_counts_once():
+    normals = directions(BATCH, K)
+    rough = off_by(normals[:, 0], 30)
+    given = prediction(normals, rough=rough, refined=rough)
+    assert normal_loss(given, normals[:, 0]).item() == pytest.approx(0.5, abs=1e-5)
+
+
+def test_offsets_cost_their_mean_square():
+    normals = directions(BATCH, K)
+    offsets = torch.randn(BATCH, K, 3)
+    terms = total_loss(prediction(normals, offsets=offsets), normals, LossWeights(offsets=0.3))
+    torch.testing.assert_close(terms["offsets"], (offsets**2).sum() / (BATCH * K * 3))
+    without = total_loss(prediction(normals), normals, LossWeights())
+    assert "offsets" not in without
+    torch.testing.assert_close(terms["loss"], without["loss"] + 0.3 * terms["offsets"])
+
+
+def test_normals_beyond_the_fitted_points_do_not_matter():
+    normals = directions(BATCH, 3 * K)
+    given = prediction(normals[:, :K], rough=directions(BATCH))
+    expected = total_loss(given, normals[:, :K], LossWeights())
+    assert torch.equal(total_loss(given, normals, LossWeights())["loss"], expected["loss"])
+
+
+def test_baselines_have_no_loss_on_z():
+    assert published_losses(PatchFitConfig()) == LossWeights()
+    assert published_losses(PatchFitConfig(transform="qstn")) == LossWeights(z_direction=0.0)
 
 
 def test_the_z_loss_vanishes_where_the_transform_aligns():
