@@ -73,3 +73,13 @@ def test_failures_have_their_exit_codes(folder, monkeypatch, capsys):
     assert run(monkeypatch, "--data", folder / "absent", "--model", "pca") == 3
     assert run(monkeypatch, "--data", folder, "--model", "absent") == 4
     assert capsys.readouterr().out == ""
+
+
+def test_plots_are_drawn_once_unless_forced(folder, tmp_path_factory, monkeypatch, capsys):
+    plots = tmp_path_factory.mktemp("plots")
+    arguments = ["--data", folder, "--model", "pca:k=9", "--plots", plots]
+    assert run(monkeypatch, *arguments) == 0
+    assert sorted(path.name for path in plots.iterdir()) == ["good_points.png", "heatmap_flat.png"]
+    assert "2 pictures in" in capsys.readouterr().err
+    assert run(monkeypatch, *arguments) == 3
+    assert run(monkeypatch, *arguments, "--force", "-q") == 0

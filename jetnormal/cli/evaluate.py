@@ -10,7 +10,7 @@ import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.report import print_json
+from jetnormal.report import logger, print_json
 
 
 def evaluate(
@@ -39,6 +39,10 @@ def evaluate(
         Path | None,
         typer.Option(metavar="DIR", help="Folder that keeps the normals, so that an interrupted evaluation goes on."),
     ] = None,
+    plots: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Draw error heatmaps and curves as PNG files into this folder.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the pictures of an earlier evaluation.")] = False,
     table: Annotated[
         Literal["rich", "markdown", "csv"] | None,
         typer.Option("--format", help="Of the tables.", show_default="rich"),
@@ -70,7 +74,7 @@ def evaluate(
     \b
     Examples:
       jetnormal evaluate --data pcpnet --model deepfit
-      jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112 --model jet:k=122,order=2
+      jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112 --model jet:k=122,order=2 --plots plots
       jetnormal evaluate --data pcpnet --list testset_no_noise.txt --model run/model.safetensors --json
       jetnormal evaluate --data pcpnet --model deepfit --results kept --format csv > scores.csv
     """
@@ -78,8 +82,11 @@ def evaluate(
     if json and table:
         raise UsageError(f"--json contradicts --format {table}: leave one of them out")
     from jetnormal.evaluation import evaluate
+    from jetnormal.evaluation.plots import check_plots, write_plots
     from jetnormal.evaluation.tables import comma_separated, make_tables, markdown, print_tables
 
+    if plots:
+        check_plots(plots, overwrite=force)
     evaluation = evaluate(
         data,
         model,
@@ -87,6 +94,7 @@ def evaluate(
         all_points=all_points,
         orient=orient,
         results=results,
+        z_angles=plots is not None,
         device=device,
         threads=threads,
     )
@@ -98,3 +106,6 @@ def evaluate(
         typer.echo(markdown(make_tables(evaluation)), nl=False)
     else:
         print_tables(make_tables(evaluation), sys.stdout)
+    if plots:
+        paths = write_plots(evaluation, plots)
+        logger.info("%d pictures in %s", len(paths), plots)

@@ -13,19 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import InputError, UsageError
+from jetnormal.evaluation.clouds import BenchmarkCloud, clean_normals, read_benchmark_cloud
 from jetnormal.evaluation.scores import THRESHOLDS, Scores, good_points_curve, mean_scores, score
 from jetnormal.evaluation.store import Estimate, ResultStore, digest
 from jetnormal.evaluation.zangles import ZAngles, measure_z_angles
-from jetnormal.pcpnet import (
-    CATEGORIES,
-    TEST_LIST,
-    categorize,
-    clean_twin,
-    cloud_names,
-    file_of,
-    query_count,
-    read_cloud,
-)
+from jetnormal.pcpnet import CATEGORIES, TEST_LIST, categorize, cloud_names, query_count
 from jetnormal.prediction import Estimator
 from jetnormal.report import Advance, logger, progress
 
@@ -188,9 +180,10 @@ def evaluate(
     total = sum(query_count(folder, cloud, all_points or orient != "none") for cloud in clouds)
     with progress("evaluating", len(trials) * total) as advance:
         for name in clouds:
-            cloud = _Cloud.read(folder, name, all_points)
+            cloud = read_benchmark_cloud(folder, name, all_points)
+            clean = clean_normals(folder, cloud)
             for trial in trials:
-                found[trial.name][name] = trial.run(cloud, orient, advance, z_angles)
+                found[trial.name][name] = trial.run(cloud, clean, orient, advance, z_angles)
     names = _by_category(clouds)
     return Evaluation(folder, clouds, [ModelResult(model, found[model], names) for model in found], all_points)
 
@@ -200,41 +193,6 @@ def _by_category(clouds: dict[str, str]) -> dict[str, list[str]]:
     order = [category for category in CATEGORIES if category in clouds.values()]
     order += sorted(set(clouds.values()) - set(order))
     return {category: [name for name, own in clouds.items() if own == category] for category in order}
-
-
-@dataclass(frozen=True)
-class _Cloud:
-    """A cloud with N points, Q of which are evaluated."""
-
-    name: str
-    files: list[Path]  # that the estimates depend on
-    points: NDArray[np.float64]  # (N, 3)
-    queries: NDArray[np.int64]  # (Q,)
-    normals: NDArray[np.float64]  # (Q, 3) true ones
-    clean: NDArray[np.float64] | None  # (Q, 3) true ones of the nearest points of the clean twin
-
-    @classmethod
-    def read(cls, folder: Path, name: str, all_points: bool) -> _Cloud:
-        points, normals, queries = read_cloud(folder, name)
-        files = [file_of(folder, name, "xyz")]
-        if queries is None or all_points:
-            queries = np.arange(len(points))
-        else:
-            files.append(file_of(folder, name, "pidx"))
-        clean = None
-        if twin := clean_twin(folder, name):
-            clean = _normals_at(points[queries], *read_cloud(folder, twin)[:2])
-        return cls(name, files, points, queries, normals[queries], clean)
-
-
-def _normals_at(
-    queries: NDArray[np.float64], points: NDArray[np.float64], normals: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """The normals (Q, 3) of the points nearest to queries (Q, 3)."""
-    from jetnormal.geometry.neighbors import NeighborIndex
-
-    nearest, _ = NeighborIndex(points).query(queries, 1)
-    return normals[nearest[:, 0]]
 
 
 def _make_trials(
@@ -268,15 +226,17 @@ class _Trial:
     facts: dict[str, Any]
     store: ResultStore | None
 
-    def run(self, cloud: _Cloud, orient: str, advance: Advance, z_angles: bool) -> CloudResult:
-        """Scores the model on a cloud."""
+    def run(
+        self, cloud: BenchmarkCloud, clean: NDArray[np.float64] | None, orient: str, advance: Advance, z_angles: bool
+    ) -> CloudResult:
+        """Scores the model on a cloud, whose clean twin has the normals (Q, 3) next to the points evaluated."""
         estimate = self._kept(cloud, orient, advance)
-        scores, errors = score(estimate.normals, cloud.normals, cloud.clean, signs=orient != "none")
+        scores, errors = score(estimate.normals, cloud.true_normals, clean, signs=orient != "none")
         logger.debug("%s, %s: RMSE %.2f degrees", cloud.name, self.name, scores.rmse)
-        angles = measure_z_angles(self.estimator, cloud.points, cloud.queries, cloud.normals) if z_angles else None
+        angles = measure_z_angles(self.estimator, cloud) if z_angles else None
         return CloudResult(scores, errors, estimate.points, estimate.seconds, angles)
 
-    def _kept(self, cloud: _Cloud, orient: str, advance: Advance) -> Estimate:
+    def _kept(self, cloud: BenchmarkCloud, orient: str, advance: Advance) -> Estimate:
         """The estimate that was kept, or a new one, which is kept."""
         if self.store is None:
             return self._estimate(cloud, orient, advance)
@@ -289,7 +249,7 @@ class _Trial:
         self.store.save(path, estimate)
         return estimate
 
-    def _estimate(self, cloud: _Cloud, orient: str, advance: Advance) -> Estimate:
+    def _estimate(self, cloud: BenchmarkCloud, orient: str, advance: Advance) -> Estimate:
         from jetnormal.geometry.orient import orient as choose_signs
 
         rows = cloud.queries if orient == "none" else np.arange(len(cloud.points))

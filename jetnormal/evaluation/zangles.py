@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.evaluation.clouds import BenchmarkCloud
 from jetnormal.geometry.metrics import angles
 from jetnormal.prediction import Estimator
 
@@ -29,32 +30,26 @@ class ZAngles:
     after: NDArray[np.float32]
 
 
-def measure_z_angles(
-    estimator: Estimator, points: NDArray[np.float64], queries: NDArray[np.int64], normals: NDArray[np.float64]
-) -> ZAngles | None:
-    """Applies the transform of a patch network to an even selection of the queries.
-
-    Args:
-        estimator: of any kind.
-        points: (N, 3).
-        queries: (Q,) indices of the points evaluated.
-        normals: (Q, 3) their true normals.
+def measure_z_angles(estimator: Estimator, cloud: BenchmarkCloud) -> ZAngles | None:
+    """Applies the transform of a patch network to an even selection of the points evaluated.
 
     Returns:
         The angles; None if the estimator has no learned transform.
     """
     import torch
 
+    from jetnormal._device import torch_threads
     from jetnormal.estimators import PatchEstimator
     from jetnormal.geometry.neighbors import NeighborIndex
     from jetnormal.geometry.patches import build_patches
 
     if not isinstance(estimator, PatchEstimator) or estimator.transform is None:
         return None
+    points, queries = cloud.points, cloud.queries
     rows = np.arange(0, len(queries), -(-len(queries) // SAMPLE))
     index = NeighborIndex(points, threads=estimator.threads)
     found: list[NDArray[np.float64]] = []
-    with torch.inference_mode():
+    with torch.inference_mode(), torch_threads(1):  # small batches stay in the cache of one core
         for start in range(0, len(rows), BATCH):
             batch = queries[rows[start : start + BATCH]]
             neighbors, _ = index.query(points[batch], min(estimator.neighbors, len(points)))
@@ -62,7 +57,7 @@ def measure_z_angles(
             patches = build_patches(points, batch, neighbors)
             rotation = estimator.transform(patches.points.to(estimator.device)).cpu()
             axes = (patches.frame[:, :, 2], patches.to_cloud(rotation[:, :, 2]))
-            true = normals[rows[start : start + BATCH]]
+            true = cloud.normals[batch]
             found.append(np.stack([angles(axis.numpy(), true) for axis in axes]))
     before, after = np.concatenate(found, axis=1).astype(np.float32)
     return ZAngles(rows, before, after)

@@ -1,0 +1,65 @@
+"""A cloud of a benchmark as an evaluation needs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.pcpnet import clean_twin, file_of, read_cloud
+
+
+@dataclass(frozen=True)
+class BenchmarkCloud:
+    """A cloud with N points, Q of which are evaluated.
+
+    Attributes:
+        name: of the cloud.
+        files: that estimates depend on.
+        points: (N, 3).
+        normals: (N, 3) true unit normals.
+        queries: (Q,) indices of the points evaluated.
+    """
+
+    name: str
+    files: list[Path]
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    queries: NDArray[np.int64]
+
+    @property
+    def true_normals(self) -> NDArray[np.float64]:
+        """(Q, 3) of the points evaluated."""
+        return self.normals[self.queries]
+
+
+def read_benchmark_cloud(folder: Path, name: str, all_points: bool = False) -> BenchmarkCloud:
+    """Reads a cloud; all its points are evaluated if asked for, or if it has no .pidx file.
+
+    Raises:
+        InputError: a file is unreadable or does not match the others.
+    """
+    points, normals, queries = read_cloud(folder, name)
+    files = [file_of(folder, name, "xyz")]
+    if queries is None or all_points:
+        queries = np.arange(len(points))
+    else:
+        files.append(file_of(folder, name, "pidx"))
+    return BenchmarkCloud(name, files, points, normals, queries)
+
+
+def clean_normals(folder: Path, cloud: BenchmarkCloud) -> NDArray[np.float64] | None:
+    """The true normals (Q, 3) of the nearest points of the clean cloud that a noisy one was made from, if present.
+
+    Raises:
+        InputError: a file of that cloud is unreadable or does not match the other.
+    """
+    twin = clean_twin(folder, cloud.name)
+    if twin is None:
+        return None
+    points, normals, _ = read_cloud(folder, twin)
+    nearest, _ = NeighborIndex(points).query(cloud.points[cloud.queries], 1)
+    return normals[nearest[:, 0]]

@@ -1,0 +1,70 @@
+"""The paper's figures of an evaluation, as PNG files (Du et al., CVPR 2023, figs. 1, 3, 5 and 6).
+
+good_points.png      share of points below each error, a panel per category
+z_angles.png         error over the angle between normal and z axis, and that angle before and after the transform
+heatmap_SHAPE.png    the clouds of a shape, colored by their errors: a row per category, a column per model
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jetnormal.errors import InputError, UsageError
+from jetnormal.formats.atomic import atomic_write
+from jetnormal.pcpnet import split_name
+from jetnormal.report import progress
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from jetnormal.evaluation.protocol import Evaluation
+
+
+def check_plots(folder: Path, overwrite: bool) -> None:
+    """Finds out, before any long computation, whether pictures can be drawn.
+
+    Raises:
+        UsageError: Matplotlib is not installed.
+        InputError: there are pictures in the folder already that may not be overwritten, or it is none.
+    """
+    if find_spec("matplotlib") is None:
+        raise UsageError("pictures need Matplotlib: install it with pip install 'jetnormal[plots]'")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; choose another one for the pictures")
+    if not overwrite and any(folder.glob("*.png")):
+        raise InputError(f"{folder}: holds pictures already; use --force to overwrite them or choose another folder")
+
+
+def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:
+    """Draws all figures that the evaluation has something for; the folder is created, pictures are overwritten.
+
+    Raises:
+        InputError: a picture cannot be written, or the files of a cloud are no longer there.
+    """
+    from jetnormal.evaluation.curves import draw_good_points, draw_z_angles
+    from jetnormal.evaluation.heatmaps import draw_heatmaps
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another one") from error
+    shapes: dict[str, list[str]] = {}
+    for name in evaluation.clouds:
+        shapes.setdefault(split_name(name)[0], []).append(name)
+    paths = [_save(draw_good_points(evaluation), folder / "good_points.png")]
+    if figure := draw_z_angles(evaluation):
+        paths.append(_save(figure, folder / "z_angles.png"))
+    with progress("drawing", len(evaluation.clouds), "clouds") as advance:
+        for shape, names in shapes.items():
+            figure = draw_heatmaps(evaluation, shape, names)
+            paths.append(_save(figure, folder / f"heatmap_{shape}.png"))
+            advance(len(names))
+    return paths
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    with atomic_write(path, overwrite=True) as stream:
+        figure.savefig(stream, format="png")
+    return path
