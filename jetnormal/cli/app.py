@@ -15,6 +15,7 @@ from jetnormal.cli.dataset import dataset
 from jetnormal.cli.estimate import estimate
 from jetnormal.cli.evaluate import evaluate
 from jetnormal.cli.failures import report_failure
+from jetnormal.cli.models import models
 from jetnormal.cli.reconstruct import reconstruct
 from jetnormal.cli.train import train
 
@@ -28,6 +29,7 @@ app.command()(estimate)
 app.command()(reconstruct)
 app.command()(evaluate)
 app.command()(train)
+app.command()(models)
 app.command()(dataset)
 
 

@@ -136,6 +136,8 @@ class Run:
     def save(self) -> None:
         """Writes the network on its own and the state, each atomically; the state last, for a resumed run trusts it."""
         training = self.facts | {"patches": self.position.patches, "seconds": round(self.position.seconds)}
+        if "rmse" in (last := self.last_record()):
+            training["rmse"] = last["rmse"]
         save_model(self.model_path, self.network, training)
         tensors = {f"network.{name}": value for name, value in self.network.state_dict().items()}
         for index, values in self.optimizer.state_dict()["state"].items():

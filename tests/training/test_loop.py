@@ -101,6 +101,7 @@ def test_a_run_leaves_a_network_a_state_and_metrics(finished):
     assert load_model(folder / "model.safetensors").config == CONFIG
     training = load_tensors(folder / "model.safetensors")[1]["training"]
     assert training["patches"] == 128 and training["options"]["learning_rate"] == 3e-3
+    assert training["rmse"] == float(rows[-1]["rmse"])
 
 
 @pytest.mark.parametrize("weights", ["adafit", "graphfit"])

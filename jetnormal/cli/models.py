@@ -1,0 +1,83 @@
+"""`jetnormal models`: what is packaged, and what networks cost."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
+from jetnormal.errors import UsageError
+from jetnormal.report import print_json
+
+if TYPE_CHECKING:
+    from jetnormal.complexity import Complexity
+    from jetnormal.evaluation.tables import Table
+
+
+def models(
+    model: Annotated[
+        list[str] | None, typer.Argument(metavar="NAME|FILE", help="Models to list.", show_default="all packaged ones")
+    ] = None,
+    complexity: Annotated[
+        bool, typer.Option("--complexity", help="List the paper's six networks instead, with random weights.")
+    ] = False,
+    measure: Annotated[bool, typer.Option("--measure", help="Measure the time that a point takes, too.")] = False,
+    device: Device = "auto",
+    threads: Threads = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """List models: parameters, size, operations, time and error.
+
+    GFLOP/point counts the matrix products of a patch network, a multiply-add as two operations. ms/point is the
+    whole estimation on this machine. RMSE is what the file records of its training: degrees on the validation clouds.
+
+    \b
+    Examples:
+      jetnormal models
+      jetnormal models run/model.safetensors --measure
+      jetnormal models --complexity --measure --json
+    """
+    set_verbosity(quiet, verbose)
+    if complexity and model:
+        raise UsageError("--complexity lists the paper's networks: leave it or the models out")
+    from jetnormal.complexity import of_model, of_packaged, of_paper
+
+    if complexity:
+        found = of_paper(measure=measure, device=device, threads=threads)
+    elif model:
+        found = [of_model(name, measure=measure, device=device, threads=threads) for name in model]
+    else:
+        found = of_packaged(measure=measure, device=device, threads=threads)
+    if json:
+        print_json({"models": [asdict(one) for one in found]})
+        return
+    from jetnormal.evaluation.tables import print_tables
+
+    if complexity:
+        table = _table("the paper's networks", [one.architecture for one in found], found)
+    else:
+        table = _table("models", [f"{one.name}: {one.architecture}" for one in found], found)
+    print_tables([table], sys.stdout)
+
+
+def _table(title: str, names: list[str], found: list[Complexity]) -> Table:
+    """One row a network; columns that are empty in all rows are left out."""
+    from jetnormal.evaluation.tables import Table
+
+    columns: list[tuple[str, str, list[float | None]]] = [
+        ("parameters (M)", "{:.3f}", [one.parameters / 1e6 for one in found]),
+        ("MB", "{:.2f}", [one.megabytes for one in found]),
+        ("GFLOP/point", "{:.3f}", [one.gflop_per_point for one in found]),
+        ("ms/point", "{:.3g}", [one.ms_per_point for one in found]),
+        ("RMSE (°)", "{:.2f}", [one.rmse for one in found]),
+    ]
+    columns = [column for column in columns if any(value is not None for value in column[2])]
+    rows = [list(row) for row in zip(*(values for *_, values in columns), strict=True)]
+    formats: list[Callable[[float], str]] = [pattern.format for _, pattern, _ in columns]
+    return Table(title, ["model", *(name for name, *_ in columns)], names, rows, formats, [True] * len(columns))
