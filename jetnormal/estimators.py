@@ -19,13 +19,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from jetnormal._device import resolve_device
+from jetnormal.cloud_estimator import FIT_ROWS, CloudEstimator
 from jetnormal.errors import UsageError
 from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import Patches, build_patches
 from jetnormal.networks.checkpoint import load_model, resolve
+from jetnormal.networks.cloudfit import CloudFit
 from jetnormal.networks.patchfit import PatchFit
-from jetnormal.prediction import Prediction
+from jetnormal.prediction import Estimator, Prediction, joined
 from jetnormal.report import Advance
 
 CHUNK_POINTS = 1_000_000  # neighbors gathered at a time, about 100 MB
@@ -85,7 +87,7 @@ class PatchEstimator:
                     parts.append(part)
                     if advance:
                         advance(len(part.normals))
-        return _joined(parts)
+        return joined(parts)
 
     @torch.inference_mode()
     def _predict(self, patches: Patches) -> Prediction:
@@ -175,7 +177,7 @@ def make_estimator(
     batch_size: int | None = None,
     device: str = "auto",
     threads: int | None = None,
-) -> PatchEstimator:
+) -> Estimator:
     """Builds an estimator from its name.
 
     Args:
@@ -204,8 +206,15 @@ def make_estimator(
         return pca_estimator(**_only(chosen, name, "k"), **common)
     if name == "jet":
         return jet_estimator(**_only(chosen, name, "k", "order"), **common)
+    network = load_model(name)
+    if isinstance(network, CloudFit):
+        if device not in ("auto", "cpu"):
+            raise UsageError(f"{name} runs on the CPU: leave --device out or choose a patch network")
+        return CloudEstimator(
+            model, network, **_only(chosen, name, "iterations"), batch_size=batch_size or FIT_ROWS, threads=threads
+        )
     chosen = _only(chosen, name, "k", "iterations")
-    return network_estimator(model, load_model(name), **chosen, **common, device=resolve_device(device))
+    return network_estimator(model, network, **chosen, **common, device=resolve_device(device))
 
 
 def model_file(model: str) -> Path | None:
@@ -264,11 +273,3 @@ def _in_order(pool: ThreadPoolExecutor, function: Callable[[_In], _Out], argumen
     finally:
         for future in futures:
             future.cancel()
-
-
-def _joined(parts: list[Prediction]) -> Prediction:
-    def join(name: str) -> Any:
-        arrays = [getattr(part, name) for part in parts]
-        return None if not arrays or arrays[0] is None else np.concatenate(arrays)
-
-    return Prediction(join("normals"), join("rough"), join("confidence"), join("curvatures"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,21 @@ class Prediction:
     rough: NDArray[np.float32]
     confidence: NDArray[np.float32]
     curvatures: NDArray[np.float32] | None
+
+    def __getitem__(self, rows: NDArray[np.int64]) -> Prediction:
+        """The prediction of the queries at (R,) rows."""
+        curvatures = None if self.curvatures is None else self.curvatures[rows]
+        return Prediction(self.normals[rows], self.rough[rows], self.confidence[rows], curvatures)
+
+
+def joined(parts: list[Prediction]) -> Prediction:
+    """One prediction of the queries of several."""
+
+    def join(name: str) -> Any:
+        arrays = [getattr(part, name) for part in parts]
+        return None if not arrays or arrays[0] is None else np.concatenate(arrays)
+
+    return Prediction(join("normals"), join("rough"), join("confidence"), join("curvatures"))
 
 
 class Estimator(Protocol):

@@ -16,10 +16,16 @@ from torch import Tensor
 from jetnormal._resources import model_directory
 from jetnormal.errors import ModelError
 from jetnormal.formats.atomic import atomic_write
+from jetnormal.networks.cloudfit import CloudFit, CloudFitConfig
 from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
 
 FORMAT = "jetnormal-1"
 SUFFIX = ".safetensors"
+Network = PatchFit | CloudFit
+ARCHITECTURES: dict[str, tuple[Any, Any]] = {
+    "patchfit": (PatchFit, PatchFitConfig),
+    "cloudfit": (CloudFit, CloudFitConfig),
+}
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
@@ -55,21 +61,21 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise ModelError(f"{path}: damaged or not a safetensors file ({error})") from error
 
 
-def save_model(path: Path, network: PatchFit, training: dict[str, Any]) -> None:
+def save_model(path: Path, network: Network, training: dict[str, Any]) -> None:
     """Writes a network with its configuration and facts about its training.
 
     Raises:
         InputError: if the file cannot be written.
     """
     metadata = {
-        "architecture": "patchfit",
+        "architecture": next(name for name, (kind, _) in ARCHITECTURES.items() if isinstance(network, kind)),
         "config": dataclasses.asdict(network.config),
         "training": training,
     }
     save_tensors(path, network.state_dict(), metadata)
 
 
-def load_model(name: str | Path) -> PatchFit:
+def load_model(name: str | Path) -> Network:
     """Loads a packaged network by its name, or a network from a file, ready for inference on the CPU.
 
     Raises:
@@ -77,10 +83,11 @@ def load_model(name: str | Path) -> PatchFit:
     """
     path = resolve(name)
     tensors, metadata = load_tensors(path)
-    if metadata.get("architecture") != "patchfit":
+    if metadata.get("architecture") not in ARCHITECTURES:
         raise ModelError(f"{path}: holds no network (architecture {metadata.get('architecture')!r})")
+    kind, configuration = ARCHITECTURES[metadata["architecture"]]
     try:
-        network = PatchFit(PatchFitConfig(**metadata["config"]))
+        network: Network = kind(configuration(**metadata["config"]))
         network.load_state_dict(tensors)
     except (TypeError, KeyError, ValueError, RuntimeError) as error:
         reason = str(error).splitlines()[0]

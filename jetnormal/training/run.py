@@ -20,8 +20,7 @@ from torch import Tensor
 
 from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
-from jetnormal.networks.patchfit import PatchFit
+from jetnormal.networks.checkpoint import Network, load_tensors, save_model, save_tensors
 from jetnormal.training.events import EventLog
 
 SAVE_INTERVAL = 45.0  # seconds: what a killed run loses at most
@@ -65,7 +64,7 @@ class Run:
         self,
         folder: Path,
         facts: dict[str, Any],
-        network: PatchFit,
+        network: Network,
         optimizer: torch.optim.Optimizer,
         tensorboard: bool = False,
     ) -> None:

@@ -1,0 +1,87 @@
+"""The levels of a cloud: what they keep, and that they turn with the cloud."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jetnormal.geometry.pyramid import NEIGHBORS, PARENTS, SPACING, build_pyramid
+
+
+def plane(count: int, noise: float = 0.0) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    return np.column_stack([rng.random((count, 2)), noise * rng.normal(size=count)])
+
+
+def test_levels_thin_to_about_a_quarter():
+    sizes = [len(level.positions) for level in build_pyramid(plane(4000), 4)]
+    ratios = np.array(sizes[:-1]) / sizes[1:]
+    assert sizes[0] == 4000
+    assert ((ratios > 3) & (ratios < 6)).all()
+
+
+def test_kept_points_are_spread_out_and_every_point_has_a_parent_nearby():
+    fine, coarse = build_pyramid(plane(2000), 2)
+    kept = np.zeros(2000, dtype=bool)
+    kept[fine.chosen] = True
+    near = fine.neighbors[:, :SPACING]
+    assert (kept | kept[near].any(axis=1)).all()
+    candidates = np.concatenate([np.arange(2000)[:, None], fine.neighbors], axis=1)
+    assert fine.parents.shape == (2000, PARENTS)
+    assert all(set(fine.chosen[row]) <= set(own) for row, own in zip(fine.parents, candidates, strict=True))
+    assert len(coarse.positions) == len(fine.chosen)
+    assert len(coarse.chosen) == 0
+
+
+def test_averaged_positions_have_less_noise():
+    levels = build_pyramid(plane(4000, noise=0.02), 3)
+    spread = [level.positions[:, 2].std() for level in levels]
+    assert spread[2] < spread[1] < 0.9 * spread[0]
+
+
+def test_normals_variances_and_scale_of_a_plane():
+    level = build_pyramid(plane(500), 1)[0]
+    np.testing.assert_allclose(np.abs(level.normals[:, 2]), 1, atol=1e-6)
+    np.testing.assert_allclose(level.variance.sum(axis=1), 1, atol=1e-6)
+    assert level.variance[:, 0].max() < 1e-12
+    distances = np.linalg.norm(level.positions[level.neighbors] - level.positions[:, None], axis=2)
+    np.testing.assert_allclose(level.scale, np.sqrt((distances**2).mean(axis=1)), rtol=1e-6)
+    assert np.linalg.norm(level.centroid, axis=1).max() <= 1
+
+
+def test_a_turned_moved_scaled_and_permuted_cloud_has_the_same_pyramid():
+    points = plane(1500, noise=0.01)
+    turn = Rotation.from_euler("xyz", [0.3, -1.2, 2.0]).as_matrix()
+    order = np.random.default_rng(2).permutation(len(points))
+    moved = (points @ turn.T * 7 + [100, -20, 5])[order]
+    levels, others = build_pyramid(points, 4), build_pyramid(moved, 4)
+    place = order
+    for level, other in zip(levels, others, strict=True):
+        np.testing.assert_allclose(other.positions, level.positions[place] @ turn.T * 7 + [100, -20, 5], atol=1e-9)
+        np.testing.assert_allclose(other.scale, 7 * level.scale[place], rtol=1e-5)
+        aligned = (other.normals * (level.normals[place] @ turn.T)).sum(axis=1)
+        np.testing.assert_allclose(np.abs(aligned), 1, atol=1e-5)
+        number = np.full(len(level.positions), -1)  # where in the other's next level a point went
+        number[level.chosen] = np.arange(len(level.chosen))
+        place = number[place[other.chosen]]
+        assert (place >= 0).all()
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 17, 40])
+def test_small_clouds_have_all_levels(count: int):
+    for level in build_pyramid(np.random.default_rng(0).random((count, 3)), 5):
+        assert len(level.positions) >= 1
+        assert level.neighbors.shape == (len(level.positions), NEIGHBORS)
+        assert level.neighbors.max() < len(level.positions)
+        for values in (level.scale, level.normals, level.variance, level.centroid):
+            assert np.isfinite(values).all()
+
+
+def test_collinear_points_have_two_vanishing_variances():
+    line = np.column_stack([np.linspace(0, 1, 60), np.zeros((60, 2))])
+    assert build_pyramid(line, 1)[0].variance[:, 1].max() < 1e-12
+
+
+def test_a_lattice_terminates_and_is_deterministic():
+    grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0), [0.0]), axis=-1).reshape(-1, 3)
+    first, again = build_pyramid(grid, 4), build_pyramid(grid, 4)
+    assert all((a.chosen == b.chosen).all() for a, b in zip(first, again, strict=True))
