@@ -23,9 +23,11 @@ TITLES = {
 }
 # Okabe and Ito's colors, which all readers can tell apart; the lightest is left out.
 COLORS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000"]
+LONGEST_NAME = 30  # characters
 LARGE_ANGLE = 20.0  # degrees, beyond which the paper counts a z angle as large
 Z_LIMIT = 60.0  # degrees, where the figure of z angles ends
 Z_BIN = 5.0  # degrees, for the error over the z angle
+Z_STEP = 2.0  # degrees, for its distribution
 Z_LEAST = 30  # points that a bin must hold to be drawn
 
 
@@ -38,7 +40,7 @@ def draw_good_points(evaluation: Evaluation) -> Figure:
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for panel, category in zip(panels, categories, strict=False):
         for model, color in zip(evaluation.models, cycle(COLORS), strict=False):
-            label = f"{model.model}  ({100 * model.categories[category].auc:.1f} %)"
+            label = f"{short(model.model)}  ({100 * model.categories[category].auc:.1f} %)"
             panel.plot(THRESHOLDS, model.curves[category], color=color, linewidth=1.8, label=label)
         panel.set_title(TITLES.get(category, category))
         panel.legend(loc="lower right", fontsize=8, frameon=False, title="area under the curve", title_fontsize=8)
@@ -46,7 +48,7 @@ def draw_good_points(evaluation: Evaluation) -> Figure:
     for panel in panels[len(categories) :]:
         panel.set_visible(False)
     panels[0].set(xlim=(0, AUC_LIMIT), ylim=(0, 1))
-    panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))
+    panels[0].yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
     figure.supxlabel("threshold of the error (degrees)", fontsize=10)
     figure.supylabel("points with a smaller error", fontsize=10)
     return figure
@@ -61,29 +63,34 @@ def draw_z_angles(evaluation: Evaluation) -> Figure | None:
     errors_panel, density_panel = figure.subplots(1, 2)
     for network, color in zip(networks, cycle(COLORS), strict=False):
         before, after, errors = _z_angles(network)
-        _draw_errors(errors_panel, after, errors, network.model, color)
-        _draw_density(density_panel, before, f"{network.model}: plane of the patch", color, "--")
-        _draw_density(density_panel, after, f"{network.model}: learned transform", color, "-")
+        _draw_errors(errors_panel, after, errors, short(network.model), color)
+        _draw_density(density_panel, before, f"{short(network.model)}: plane of the patch", color, "--")
+        _draw_density(density_panel, after, f"{short(network.model)}: learned transform", color, "-")
     errors_panel.set(
         xlim=(0, Z_LIMIT),
         ylim=(0, None),
-        xlabel="angle between true normal and z axis after the transform (degrees)",
-        ylabel="error: mean, and middle half of the points (degrees)",
+        xlabel="angle of true normal and z axis after the transform (degrees)",
+        ylabel="error: mean and quartiles (degrees)",
         title="error over the z angle",
     )
     density_panel.set(
         xlim=(0, Z_LIMIT),
         ylim=(0, None),
-        xlabel="angle between true normal and z axis (degrees)",
+        xlabel="angle of true normal and z axis (degrees)",
         ylabel="points per degree",
         title="distribution of the z angle",
     )
     density_panel.axvline(LARGE_ANGLE, color="0.6", linewidth=0.8, linestyle=":")
-    density_panel.yaxis.set_major_formatter(PercentFormatter(1.0))
+    density_panel.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
     for panel in (errors_panel, density_panel):
         panel.legend(fontsize=8, frameon=False)
         _plain(panel)
     return figure
+
+
+def short(name: str) -> str:
+    """The name of a model, of a long path the end."""
+    return name if len(name) <= LONGEST_NAME else "…" + name[1 - LONGEST_NAME :]
 
 
 def _z_angles(model: ModelResult) -> NDArray[np.float32]:
@@ -110,11 +117,10 @@ def _draw_errors(
 
 
 def _draw_density(panel: Any, angles: NDArray[np.float32], label: str, color: str, style: str) -> None:
-    """Share of points in each degree; the legend tells the share of large angles."""
-    counts, edges = np.histogram(angles, bins=np.arange(0, Z_LIMIT + 1))
-    large = np.mean(angles >= LARGE_ANGLE)
-    label += f"  ({large:.0%} beyond {LARGE_ANGLE:.0f}°)"
-    panel.stairs(counts / len(angles), edges, color=color, linestyle=style, linewidth=1.5, label=label)
+    """Share of points by angle; the legend tells the share of large angles."""
+    counts, edges = np.histogram(angles, bins=np.arange(0, Z_LIMIT + Z_STEP, Z_STEP))
+    label += f"  ({100 * np.mean(angles >= LARGE_ANGLE):.0f} % beyond {LARGE_ANGLE:.0f}°)"
+    panel.stairs(counts / len(angles) / Z_STEP, edges, color=color, linestyle=style, linewidth=1.5, label=label)
 
 
 def _plain(panel: Any) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from jetnormal.evaluation.camera import HEIGHT, WIDTH, Camera, paint
 from jetnormal.evaluation.clouds import BenchmarkCloud, read_benchmark_cloud
-from jetnormal.evaluation.curves import TITLES
+from jetnormal.evaluation.curves import TITLES, short
 from jetnormal.evaluation.protocol import Evaluation
 from jetnormal.geometry.neighbors import NeighborIndex
 
@@ -52,7 +52,7 @@ def draw_heatmaps(evaluation: Evaluation, shape: str, names: Sequence[str]) -> F
             panel.spines[:].set_visible(False)
             panel.set_xlabel(f"{model.clouds[name].scores.rmse:.2f}°", fontsize=10, labelpad=2)
             if column == 0:
-                panel.set_ylabel(model.model, fontsize=10)
+                panel.set_ylabel(short(model.model), fontsize=10)
             if row == 0:
                 category = evaluation.clouds[name]
                 panel.set_title(TITLES.get(category, category), fontsize=10)

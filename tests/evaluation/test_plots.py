@@ -82,7 +82,13 @@ def test_errors_over_the_z_angle(clouds, monkeypatch, turned):
     assert line.get_xdata().tolist() == [2.5]
     assert line.get_ydata()[0] == pytest.approx((4 + 8) / 2, abs=1e-3)
     labels = [text.get_text() for text in density.get_legend().get_texts()]
-    assert labels == ["net: plane of the patch  (50% beyond 20°)", "net: learned transform  (0% beyond 20°)"]
+    assert labels == ["net: plane of the patch  (50 % beyond 20°)", "net: learned transform  (0 % beyond 20°)"]
+
+
+def test_of_long_names_the_end_is_shown(clouds, turned):
+    name = "runs/" * 10 + "model.safetensors"
+    figure = draw_heatmaps(evaluate(clouds, [turned(1.0, name)]), "ball", ["ball"])
+    assert figure.axes[0].get_ylabel() == "…s/runs/runs/model.safetensors"
 
 
 def test_pictures_are_not_overwritten_unasked(tmp_path):
