@@ -89,6 +89,19 @@ def test_trained_model_is_usable(data, pcpnet, meshes, tmp_path, monkeypatch, ca
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-5)
 
 
+def test_trained_cloudfit_is_usable(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "run"
+    small = ["--clouds-per-epoch", "2", "--points-per-cloud", "600", "--crop-points", "200", "--crops-per-cloud", "2"]
+    arguments = ["--model", "cloudfit", "--synthetic", *small, "--epochs", "1", "--order", "3", "-o", folder, "--json"]
+    assert run(monkeypatch, *arguments) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["parameters"] == 2_129_208
+    assert 0 < metrics(folder)[0]["rmse"] < 90
+    points = np.random.default_rng(1).uniform(size=(200, 3)) * [1, 1, 0.01]
+    normals = make_estimator(summary["model"])(points).normals
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-5)
+
+
 def test_resumed_run_continues_where_it_stopped(pcpnet, tmp_path, monkeypatch):
     arguments = ["--data", pcpnet, *TINY, "--epochs", "2", "--device", "cpu"]
     assert run(monkeypatch, *arguments, "-o", tmp_path / "whole") == 0
@@ -214,6 +227,10 @@ def test_mesh_folder_takes_its_sizes_from_the_options(handed_over, meshes, monke
         ("--synthetic -o run --config large", 2),
         ("--synthetic -o run --order 5", 2),
         ("--synthetic -o run --batch-size 1", 2),
+        ("--synthetic -o run --crop-points 500", 2),
+        ("--synthetic -o run --model cloudfit --lambda-z 1", 2),
+        ("--synthetic -o run --model cloudfit --bfloat16", 2),
+        ("--synthetic -o run --model cloudfit --batch-size 99 --clouds-per-epoch 1 --points-per-cloud 600", 2),
         ("--synthetic -o run --weights 1,a", 2),
         ("--synthetic -o run --weights 1,2", 2),
         ("--synthetic -o run --batch-size 1000 --clouds-per-epoch 1 --patches-per-cloud 9 --points-per-cloud 600", 2),
