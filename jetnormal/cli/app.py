@@ -16,6 +16,7 @@ from jetnormal.cli.estimate import estimate
 from jetnormal.cli.evaluate import evaluate
 from jetnormal.cli.failures import report_failure
 from jetnormal.cli.models import models
+from jetnormal.cli.preview import preview
 from jetnormal.cli.reconstruct import reconstruct
 from jetnormal.cli.train import train
 
@@ -27,6 +28,7 @@ app = typer.Typer(
 )
 app.command()(estimate)
 app.command()(reconstruct)
+app.command()(preview)
 app.command()(evaluate)
 app.command()(train)
 app.command()(models)
@@ -51,6 +53,7 @@ def describe(
     Examples:
       jetnormal estimate scan.ply -o scan_normals.ply
       jetnormal reconstruct scan.ply -o mesh.ply
+      jetnormal preview mesh.ply -o picture.png
       jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112
       jetnormal train --data pcpnet -o run
       jetnormal dataset --synthetic 8 -o benchmark

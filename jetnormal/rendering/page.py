@@ -1,0 +1,117 @@
+"""A web page in one file, in which a cloud or a mesh turns; WebGL 2 and nothing else.
+
+Places take 16 bits a coordinate, normals two bytes in octahedral coding (Meyer et al., "On floating-point normal
+vectors", 2010) and colors three. Clouds of more than 250,000 points are subsampled, meshes of more than 180,000 faces
+simplified, so that a page stays below 5 MB.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal._open3d import import_open3d
+from jetnormal.errors import ResourceError
+from jetnormal.rendering.camera import camera_axes, view_direction
+from jetnormal.rendering.light import BACKGROUNDS
+from jetnormal.rendering.scene import Scene, unit
+from jetnormal.rendering.surfels import DISK_RADIUS, spacing
+
+MAX_POINTS = 250_000
+MAX_FACES = 180_000
+SEED = 0
+
+
+def encode_page(scene: Scene, title: str, view: str, background: str) -> bytes:
+    """The page, in UTF-8.
+
+    Args:
+        scene: what it shows.
+        title: its title.
+        view: from where it is seen at first (`rendering.camera.view_direction`).
+        background: "white" or "dark".
+
+    Raises:
+        ResourceError: the scene is a mesh that must be simplified, and Open3D is not there.
+    """
+    shown = _counts(scene)
+    turn = camera_axes(view_direction(view, scene.normals))
+    scene = _subsampled(scene) if scene.faces is None else _simplified(scene)
+    radius = max(float(np.linalg.norm(scene.points, axis=1).max()), 1e-12)
+    parts = [
+        np.round(scene.points / radius * 32767).astype("<i2"),
+        encode_octahedral(scene.normals),
+        np.round(np.clip(scene.colors, 0, 1) * 255).astype("u1"),
+    ]
+    if scene.faces is not None:
+        # indices begin at a multiple of 4 bytes only in a buffer of their own, which the page makes
+        parts.append(scene.faces.astype("<u4"))
+    meta = {
+        "vertices": len(scene.points),
+        "faces": 0 if scene.faces is None else len(scene.faces),
+        "normals": bool(scene.normals.any()),
+        "shown": shown if _counts(scene) == shown else f"{shown}, {_counts(scene)} shown",
+        "splat": DISK_RADIUS * spacing(scene.points) / radius if scene.faces is None else 0,
+        "turn": turn.ravel().tolist(),
+        "background": BACKGROUNDS[background],
+    }
+    red, green, blue = (round(255 * value) for value in BACKGROUNDS[background])
+    fields = {
+        "title": html.escape(title),
+        "background": f"rgb({red}, {green}, {blue})",
+        "meta": json.dumps(meta).replace("</", "<\\/"),
+        "data": base64.b64encode(b"".join(part.tobytes() for part in parts)).decode(),
+    }
+    page = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+    for name, value in fields.items():
+        page = page.replace("{{" + name + "}}", value)
+    return page.encode()
+
+
+def encode_octahedral(normals: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Unit vectors (N, 3) as (N, 2) int8, to about one degree: on an octahedron, whose lower half is folded up."""
+    flat = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-300)
+    signs = np.where(flat[:, :2] < 0, -1, 1)
+    folded = np.where(flat[:, 2:] < 0, (1 - np.abs(flat[:, 1::-1])) * signs, flat[:, :2])
+    return np.round(folded * 127).astype(np.int8)
+
+
+def _counts(scene: Scene) -> str:
+    if scene.faces is None:
+        return f"{len(scene.points):,} points"
+    return f"{len(scene.faces):,} faces"
+
+
+def _subsampled(scene: Scene) -> Scene:
+    if len(scene.points) <= MAX_POINTS:
+        return scene
+    rows = np.sort(np.random.default_rng(SEED).permutation(len(scene.points))[:MAX_POINTS])
+    return Scene(scene.points[rows], scene.normals[rows], scene.colors[rows])
+
+
+def _simplified(scene: Scene) -> Scene:
+    """The mesh with as many faces as a page may have (Garland and Heckbert, 1997), if it has more."""
+    assert scene.faces is not None
+    if len(scene.faces) <= MAX_FACES:
+        return scene
+    open3d: Any = import_open3d()
+    if open3d is None:
+        raise ResourceError("meshes of this size need Open3D to be simplified, which cannot be loaded here")
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(scene.points), open3d.utility.Vector3iVector(scene.faces.astype(np.int32))
+    )
+    mesh.vertex_normals = open3d.utility.Vector3dVector(scene.normals)
+    mesh.vertex_colors = open3d.utility.Vector3dVector(scene.colors)
+    mesh = mesh.simplify_quadric_decimation(MAX_FACES)
+    return Scene(
+        np.asarray(mesh.vertices),
+        unit(np.asarray(mesh.vertex_normals)),
+        np.asarray(mesh.vertex_colors),
+        np.asarray(mesh.triangles).astype(np.int64),
+    )

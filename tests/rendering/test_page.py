@@ -1,0 +1,97 @@
+"""The page's numbers, its size, and what a browser makes of it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from jetnormal import Cloud
+from jetnormal.rendering import page as module
+from jetnormal.rendering.page import encode_octahedral, encode_page
+from jetnormal.rendering.scene import cloud_scene
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+def sphere(count: int) -> Cloud:
+    normals = np.random.default_rng(0).normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Cloud(5 * normals, normals)
+
+
+def content(page: bytes) -> tuple[dict, bytes]:
+    text = page.decode()
+    meta = re.search(r'<script id="meta"[^>]*>(.*?)</script>', text, re.S)
+    data = re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.S)
+    return json.loads(meta[1]), base64.b64decode(data[1])
+
+
+def test_octahedral_normals_are_right_to_a_degree():
+    normals = np.r_[sphere(5000).normals, np.eye(3), -np.eye(3)]
+    flat = encode_octahedral(normals).astype(float) / 127
+    z = 1 - np.abs(flat).sum(axis=1)
+    folded = (1 - np.abs(flat[:, ::-1])) * np.where(flat < 0, -1, 1)
+    back = np.c_[np.where(z[:, None] < 0, folded, flat), z]
+    back /= np.linalg.norm(back, axis=1, keepdims=True)
+    assert np.degrees(np.arccos(np.clip((back * normals).sum(axis=1), -1, 1))).max() < 1
+
+
+def test_the_page_holds_the_points():
+    cloud = sphere(100)
+    meta, data = content(encode_page(cloud_scene(cloud), "a & <b>", "iso", "white"))
+    places = np.frombuffer(data, "<i2", 300).reshape(100, 3) / 32767
+    assert meta["vertices"] == 100 and meta["faces"] == 0 and meta["normals"]
+    radius = np.linalg.norm(cloud_scene(cloud).points, axis=1).max()
+    assert np.abs(places * radius - cloud_scene(cloud).points).max() < 1e-3
+    assert len(data) == 11 * 100
+
+
+def test_names_cannot_break_the_page():
+    page = encode_page(cloud_scene(sphere(10)), "</script><script>alert(1)</script>", "iso", "dark").decode()
+    assert "alert(1)</script>" not in page and "&lt;/script&gt;" in page
+
+
+def test_a_hundred_thousand_points_take_less_than_five_megabytes():
+    assert len(encode_page(cloud_scene(sphere(100_000)), "cloud", "auto", "white")) < 5e6
+
+
+def test_large_clouds_and_meshes_are_thinned(monkeypatch):
+    from jetnormal import Mesh
+    from jetnormal.rendering.scene import mesh_scene
+
+    monkeypatch.setattr(module, "MAX_POINTS", 500)
+    meta, _ = content(encode_page(cloud_scene(sphere(2000)), "cloud", "auto", "white"))
+    assert meta["vertices"] == 500 and meta["shown"] == "2,000 points, 500 points shown"
+    pytest.importorskip("open3d", exc_type=ImportError)
+    monkeypatch.setattr(module, "MAX_FACES", 200)
+    axis = np.linspace(0, 1, 21)
+    vertices = np.stack([*np.meshgrid(axis, axis), np.zeros((21, 21))], axis=-1).reshape(-1, 3)
+    corner = (np.arange(20)[:, None] * 21 + np.arange(20)).reshape(-1, 1)
+    faces = np.concatenate([np.add(corner, [0, 1, 21]), np.add(corner, [1, 22, 21])])
+    meta, data = content(encode_page(mesh_scene(Mesh(vertices, faces)), "mesh", "auto", "white"))
+    assert 100 < meta["faces"] <= 200
+    assert len(data) == 11 * meta["vertices"] + 12 * meta["faces"]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+def test_a_browser_draws_it(tmp_path):
+    image = pytest.importorskip("matplotlib.image")
+    (tmp_path / "page.html").write_bytes(encode_page(cloud_scene(sphere(3000), "plain"), "cloud", "iso", "white"))
+    command = [
+        CHROMIUM, "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+        "--hide-scrollbars", "--window-size=300,300", "--virtual-time-budget=5000", "--force-device-scale-factor=1",
+        f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={tmp_path / 'page.png'}",
+        (tmp_path / "page.html").as_uri(),
+    ]  # fmt: skip
+    subprocess.run(command, check=True, capture_output=True, timeout=240)
+    picture = image.imread(tmp_path / "page.png")[..., :3]
+    middle = picture[100:200, 100:200]
+    assert (middle.min(axis=2) < 0.98).mean() > 0.99  # the sphere
+    assert np.allclose(picture[-10:, :10], 1)  # beside it
+    assert middle[:30].mean() > middle[-30:].mean()  # lit from above
