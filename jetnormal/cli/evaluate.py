@@ -33,7 +33,8 @@ def evaluate(
         bool, typer.Option("--all-points", help="Evaluate all points, not those in NAME.pidx.")
     ] = False,
     orient: Annotated[
-        Literal["none", "mst", "up"], typer.Option(help="Choose signs and score them, too; estimates all points.")
+        Literal["none", "global", "mst", "up"],
+        typer.Option(help="Choose signs, and score them, too; estimates all points."),
     ] = "none",
     results: Annotated[
         Path | None,

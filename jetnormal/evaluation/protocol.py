@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,6 @@ from jetnormal.evaluation.zangles import ZAngles, measure_z_angles
 from jetnormal.pcpnet import CATEGORIES, TEST_LIST, categorize, cloud_names, query_count
 from jetnormal.prediction import Estimator
 from jetnormal.report import Advance, logger, progress
-
-ORIENTATIONS = ("none", "mst", "up")  # those that need no viewpoint
 
 
 @dataclass(frozen=True)
@@ -164,11 +162,14 @@ def evaluate(
         ModelError: a model is unknown or damaged.
         ResourceError: there is no such device.
     """
+    from jetnormal.geometry.orient import Method
+
     folder = Path(data)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    if orient not in ORIENTATIONS:
-        raise UsageError(f"there is no orientation {orient!r} here; choose from {', '.join(ORIENTATIONS)}")
+    methods = [method for method in get_args(Method) if method != "viewpoint"]  # which a benchmark has none of
+    if orient not in methods:
+        raise UsageError(f"there is no orientation {orient!r} here; choose from {', '.join(methods)}")
     if list_file is None and (folder / TEST_LIST).is_file():
         list_file = TEST_LIST
     clouds = categorize(folder, cloud_names(folder, list_file))
