@@ -31,7 +31,7 @@ class Level:
         positions: (n, 3) float64.
         neighbors: (n, 16) int32 nearest other points of the level, by ascending distance; where there are fewer, the
             farthest is repeated.
-        scale: (n,) float32 root mean square distance of the neighbors.
+        scale: (n,) float32 root mean square distance of the neighbors; 1 for a single point.
         normals: (n, 3) float32 unit normals of the neighbors' planes, their signs arbitrary.
         variance: (n, 3) float32 variances of the neighbors along their principal axes, ascending, of sum 1.
         centroid: (n, 3) float32 mean offset of the neighbors, in units of `scale`.
@@ -60,10 +60,12 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
         levels: number of levels; the first is the cloud.
         threads: for the neighbor search; None for all cores.
     """
-    pyramid = []
+    pyramid: list[Level] = []
     for number in range(levels):
         neighbors, distances = _other_neighbors(points, threads)
         scale, normals, variance, centroid = _moments(points, neighbors)
+        if pyramid:  # in a small level the same points may have been averaged twice
+            scale = np.maximum(scale, LEAST_GROWTH * pyramid[-1].scale[pyramid[-1].chosen])
         last = number == levels - 1
         rank = np.argsort(_priority(distances), kind="stable")
         keep = np.zeros(len(points), dtype=np.bool_) if last else _spread_out(neighbors[:, :SPACING], rank)

@@ -1,5 +1,7 @@
 """The levels of a cloud: what they keep, and that they turn with the cloud."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -85,3 +87,11 @@ def test_a_lattice_terminates_and_is_deterministic():
     grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0), [0.0]), axis=-1).reshape(-1, 3)
     first, again = build_pyramid(grid, 4), build_pyramid(grid, 4)
     assert all((a.chosen == b.chosen).all() for a, b in zip(first, again, strict=True))
+
+
+def test_points_averaged_twice_still_have_a_scale():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        levels = build_pyramid(rng.random((40, 3)), 4)
+        for fine, coarse in pairwise(levels):
+            assert (coarse.scale >= 0.099 * fine.scale[fine.chosen]).all()
