@@ -76,3 +76,25 @@ def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(tmp_path, mo
     assert words in lines[-1] and "Traceback" not in result.stderr
     assert code != 3 or len(lines) == 1
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_estimate_makes_a_mesh_in_one_pass(tmp_path):
+    sphere = np.random.default_rng(0).normal(size=(500, 3))
+    formats.write(Cloud(sphere / np.linalg.norm(sphere, axis=1, keepdims=True)), tmp_path / "in.xyz")
+    result = jetnormal(
+        "estimate", tmp_path / "in.xyz", "-o", tmp_path / "out.ply", "--mesh", tmp_path / "m.stl", "--model", "jet",
+        "--json",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    summary = json.loads(result.stdout)
+    assert summary["valid"] == 500 and formats.read(tmp_path / "out.ply").normals is not None
+    assert summary["mesh"]["watertight"] and summary["mesh"]["faces"] == len(read_mesh(tmp_path / "m.stl").faces)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "options", "code"), [("mesh.xyz", [], 3), ("out.ply", [], 2), ("mesh.ply", ["--orient", "none"], 2)]
+)
+def test_a_mesh_that_cannot_be_made_is_told_before_the_estimate(tmp_path, mesh, options, code):
+    result = jetnormal("estimate", MILK, "-o", tmp_path / "out.ply", "--mesh", tmp_path / mesh, *options)
+    assert result.returncode == code, result.stderr
+    assert list(tmp_path.iterdir()) == []

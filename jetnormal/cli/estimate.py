@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
+from jetnormal.errors import UsageError
 from jetnormal.report import logger, print_json
 
 Viewpoint = tuple[float, float, float]
@@ -62,7 +63,11 @@ def estimate(
         str | None,
         typer.Option(metavar="E", help="Encoding of the file, such as ascii.", show_default="the input's"),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite OUTPUT where it exists.")] = False,
+    mesh: Annotated[
+        Path | None,
+        typer.Option(metavar="MESH", help="Also make a mesh of OUTPUT, as jetnormal reconstruct does by default."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite OUTPUT and MESH where they exist.")] = False,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -79,8 +84,11 @@ def estimate(
       jetnormal estimate room.ply -o room_normals.ply --viewpoint 0,0,1.6
       jetnormal estimate terrain.xyz -o terrain_normals.xyz --orient up
       jetnormal estimate part.ply -o part_normals.ply --curvature --json
+      jetnormal estimate statue.ply -o statue_normals.ply --mesh statue.glb
     """
     set_verbosity(quiet, verbose)
+    if mesh is not None:
+        check_mesh(mesh, output, orient, force)
     from jetnormal.estimation import EstimateOptions, estimate_file
 
     options = EstimateOptions(
@@ -100,8 +108,48 @@ def estimate(
     )
     summary = estimate_file(input, output, options)
     report(summary)
+    if mesh is not None:
+        from jetnormal.reconstruction import ReconstructOptions, reconstruct_file
+
+        summary["mesh"] = reconstruct_file(output, mesh, ReconstructOptions(threads=threads, force=force))
+        report_mesh(summary["mesh"])
     if json:
         print_json(summary)
+
+
+def check_mesh(mesh: Path, output: Path, orient: str, force: bool) -> None:
+    """Find out before the long work whether a mesh can be made and written.
+
+    Raises:
+        UsageError: it would overwrite the cloud, or has no outside.
+        InputError: it cannot be written.
+    """
+    from jetnormal.formats.meshes import check_mesh_target
+
+    if mesh.resolve() == output.resolve():
+        raise UsageError(f"{mesh}: the mesh would overwrite the cloud; give it a name of its own")
+    if orient == "none":
+        raise UsageError("a mesh needs to know outside from inside: leave --orient none out")
+    check_mesh_target(mesh, overwrite=force)
+
+
+def report_mesh(summary: dict[str, Any]) -> None:
+    """Log what mesh was made, and what the user should know about it."""
+    for warning in summary["warnings"]:
+        logger.warning("%s", warning)
+    count = summary["components"]
+    logger.info(
+        "wrote %s: %s vertices, %s faces, %d %s, %s (depth %d, normals: %s; %.1f s)",
+        summary["output"],
+        f"{summary['vertices']:,}",
+        f"{summary['faces']:,}",
+        count,
+        "component" if count == 1 else "components",
+        "watertight" if summary["watertight"] else "not watertight",
+        summary["depth"],
+        summary["normals"],
+        sum(summary["seconds"].values()),
+    )
 
 
 def report(summary: dict[str, Any]) -> None:

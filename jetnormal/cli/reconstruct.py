@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
-from jetnormal.cli.estimate import parse_viewpoint
+from jetnormal.cli.estimate import parse_viewpoint, report_mesh
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
-from jetnormal.report import logger, print_json
+from jetnormal.report import print_json
 
 
 def reconstruct(
@@ -40,7 +40,7 @@ def reconstruct(
         str, typer.Option(metavar="NAME|FILE", help="What estimates normals, as in jetnormal estimate.")
     ] = "auto",
     orient: Annotated[
-        Literal["auto", "mst", "viewpoint", "up"], typer.Option(help="How their signs are chosen.")
+        str, typer.Option(metavar="METHOD", help="How their signs are chosen, as in jetnormal estimate.")
     ] = "auto",
     viewpoint: Annotated[
         Any,
@@ -89,20 +89,3 @@ def reconstruct(
     report_mesh(summary)
     if json:
         print_json(summary)
-
-
-def report_mesh(summary: dict[str, Any]) -> None:
-    """Log what was made, and what the user should know about it."""
-    for warning in summary["warnings"]:
-        logger.warning("%s", warning)
-    logger.info(
-        "wrote %s: %s vertices, %s faces, %s, %s (depth %d, normals: %s; %.1f s)",
-        summary["output"],
-        f"{summary['vertices']:,}",
-        f"{summary['faces']:,}",
-        f"{summary['components']} component{'' if summary['components'] == 1 else 's'}",
-        "watertight" if summary["watertight"] else "not watertight",
-        summary["depth"],
-        summary["normals"],
-        sum(summary["seconds"].values()),
-    )
