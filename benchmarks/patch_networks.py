@@ -86,7 +86,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=2000)
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--batch", type=int, help="patches at a time instead of what estimation takes")
-    parser.add_argument("--bfloat16", action="store_true", help="matrix products in bfloat16")
+    parser.add_argument("--bfloat16", action="store_true", help="forward pass and floor in bfloat16")
     arguments = parser.parse_args()
     print("| model | batch | ms/point | floor | ratio | points/s, all cores |\n|---|---|---|---|---|---|")
     for model in arguments.model or CONFIGS[arguments.config]:

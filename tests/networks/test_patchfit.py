@@ -292,9 +292,10 @@ def test_a_network_overfits_a_few_patches(config):
     assert error() < max(3.0, start / 3)
 
 
-def test_the_jet_never_runs_in_half_precision():
-    network = trained(SMALL)
-    points, normals = bent_patches(4)
+@pytest.mark.parametrize("weights", CONFIGS["paper"])
+def test_the_jet_never_runs_in_half_precision(weights):
+    network = PatchFit(dataclasses.replace(SMALL, weights=weights, neighbors=64, offsets=True))
+    points, normals = bent_patches(4, 64)
     with torch.autocast("cpu", torch.bfloat16):
         prediction = network(points, neighbors=True)
     assert prediction.weights.dtype == prediction.rotation.dtype == torch.float32
