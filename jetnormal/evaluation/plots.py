@@ -43,6 +43,8 @@ def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:
     Raises:
         InputError: a picture cannot be written, or the files of a cloud are no longer there.
     """
+    from matplotlib import rc_context
+
     from jetnormal.evaluation.curves import draw_good_points, draw_z_angles
     from jetnormal.evaluation.heatmaps import draw_heatmaps
 
@@ -53,14 +55,15 @@ def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:
     shapes: dict[str, list[str]] = {}
     for name in evaluation.clouds:
         shapes.setdefault(split_name(name)[0], []).append(name)
-    paths = [_save(draw_good_points(evaluation), folder / "good_points.png")]
-    if figure := draw_z_angles(evaluation):
-        paths.append(_save(figure, folder / "z_angles.png"))
-    with progress("drawing", len(evaluation.clouds), "clouds") as advance:
-        for shape, names in shapes.items():
-            figure = draw_heatmaps(evaluation, shape, names)
-            paths.append(_save(figure, folder / f"heatmap_{shape}.png"))
-            advance(len(names))
+    with rc_context({"text.parse_math": False}):  # a dollar sign in a name is one
+        paths = [_save(draw_good_points(evaluation), folder / "good_points.png")]
+        if figure := draw_z_angles(evaluation):
+            paths.append(_save(figure, folder / "z_angles.png"))
+        with progress("drawing", len(evaluation.clouds), "clouds") as advance:
+            for shape, names in shapes.items():
+                figure = draw_heatmaps(evaluation, shape, names)
+                paths.append(_save(figure, folder / f"heatmap_{shape}.png"))
+                advance(len(names))
     return paths
 
 

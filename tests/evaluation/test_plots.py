@@ -28,9 +28,9 @@ def names(folder) -> list[str]:
 
 
 def test_pictures_have_names_that_tell_what_they_show(clouds, tmp_path, write_sphere, turned):
-    write_sphere(clouds, "box")
-    paths = write_plots(evaluate(clouds, [turned(1.0)], z_angles=True), tmp_path / "new" / "plots")
-    assert names(tmp_path / "new" / "plots") == ["good_points.png", "heatmap_ball.png", "heatmap_box.png"]
+    write_sphere(clouds, "$box$")
+    paths = write_plots(evaluate(clouds, [turned(1.0, "$\\odd$")], z_angles=True), tmp_path / "new" / "plots")
+    assert names(tmp_path / "new" / "plots") == ["good_points.png", "heatmap_$box$.png", "heatmap_ball.png"]
     assert sorted(path.name for path in paths) == names(tmp_path / "new" / "plots")
     for path in paths:
         assert imread(path).std() > 0.01
