@@ -18,6 +18,7 @@ from jetnormal.geometry.neighbors import NeighborIndex
 NEIGHBORS = 16
 PARENTS = 4
 SPACING = 6  # a point and its SPACING nearest neighbors hold one point of the next level or more
+LEAST_GROWTH = 0.1  # of the scale from level to level
 AVERAGED = 8  # neighbors whose mean is the position of a point of the next level
 
 _compiled: Any = njit(nogil=True, cache=True, error_model="numpy")
