@@ -139,6 +139,47 @@ def _parents(neighbors: NDArray[np.int32], keep: NDArray[np.bool_]) -> NDArray[n
 
 
 @_compiled
+def _principal(m: NDArray[np.float64], values: NDArray[np.float64], normal: NDArray[np.float64]) -> None:
+    """Ascending eigenvalues of a symmetric (3, 3) matrix of trace about 1, and a unit eigenvector of the smallest.
+
+    The largest eigenvalue is by the trigonometric solution of the cubic (Smith, 1961); the vector is the longest cross
+    product of two rows of m - value I, all of which are orthogonal to it.
+    """
+    mean = (m[0, 0] + m[1, 1] + m[2, 2]) / 3
+    a, b, c = m[0, 0] - mean, m[1, 1] - mean, m[2, 2] - mean
+    d, e, f = m[0, 1], m[0, 2], m[1, 2]
+    p = np.sqrt((a * a + b * b + c * c + 2 * (d * d + e * e + f * f)) / 6)
+    values[:] = mean
+    if p > 1e-200:
+        half = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / (2 * p * p * p)
+        values[2] = mean + 2 * p * np.cos(np.arccos(min(max(half, -1.0), 1.0)) / 3)
+        # the smaller two from their sum and product: the cubic's own solution would lose half the digits
+        together = 3 * mean - values[2]
+        determinant = m[0, 0] * (m[1, 1] * m[2, 2] - f * f) - d * (d * m[2, 2] - f * e) + e * (d * f - m[1, 1] * e)
+        product = determinant / values[2]
+        values[1] = (together + np.sqrt(max(together * together - 4 * product, 0.0))) / 2
+        values[0] = product / values[1] if values[1] > 1e-200 else 0.0
+    longest = 0.0
+    normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+    for row in range(3):
+        other = (row + 1) % 3
+        u0, u1, u2 = m[row, 0], m[row, 1], m[row, 2]
+        v0, v1, v2 = m[other, 0], m[other, 1], m[other, 2]
+        if row == 0:
+            u0, v1 = u0 - values[0], v1 - values[0]
+        elif row == 1:
+            u1, v2 = u1 - values[0], v2 - values[0]
+        else:
+            u2, v0 = u2 - values[0], v0 - values[0]
+        x, y, z = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+        square = x * x + y * y + z * z
+        if square > longest and square > 1e-60:
+            longest = square
+            length = np.sqrt(square)
+            normal[0], normal[1], normal[2] = x / length, y / length, z / length
+
+
+@_compiled
 def _moments(
     points: NDArray[np.float64], neighbors: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
@@ -149,17 +190,17 @@ def _moments(
     normals = np.empty((count, 3), np.float32)
     variance = np.empty((count, 3), np.float32)
     centroid = np.empty((count, 3), np.float32)
-    mean = np.empty(3)
+    mean, values, normal = np.empty(3), np.empty(3), np.empty(3)
     covariance = np.empty((3, 3))
     for i in range(count):
         mean[:] = 0
         covariance[:] = 0
         for j in neighbors[i]:
-            d = points[j] - points[i]
-            mean += d
             for a in range(3):
+                d = points[j, a] - points[i, a]
+                mean[a] += d
                 for b in range(a + 1):
-                    covariance[a, b] += d[a] * d[b]
+                    covariance[a, b] += d * (points[j, b] - points[i, b])
         square = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
         size = np.sqrt(square / k) if square > 0 else 1.0
         scale[i] = size
@@ -168,9 +209,9 @@ def _moments(
             for b in range(a + 1):
                 covariance[a, b] = (covariance[a, b] - mean[a] * mean[b] / (k + 1)) / (size * size)
                 covariance[b, a] = covariance[a, b]
-        values, vectors = np.linalg.eigh(covariance)
+        _principal(covariance, values, normal)
         total = max(values[0] + values[1] + values[2], 1e-30)
         for a in range(3):
-            normals[i, a] = vectors[a, 0]
+            normals[i, a] = normal[a]
             variance[i, a] = max(values[a], 0.0) / total
     return scale, normals, variance, centroid

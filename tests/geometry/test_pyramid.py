@@ -95,3 +95,13 @@ def test_points_averaged_twice_still_have_a_scale():
         levels = build_pyramid(rng.random((40, 3)), 4)
         for fine, coarse in pairwise(levels):
             assert (coarse.scale >= 0.099 * fine.scale[fine.chosen]).all()
+
+
+def test_normals_and_variances_are_those_of_the_covariance():
+    points = np.random.default_rng(5).normal(size=(400, 3)) * [1, 0.5, 0.1]
+    level = build_pyramid(points, 1)[0]
+    for i in range(0, 400, 13):
+        patch = points[np.append(level.neighbors[i], i)]
+        values, vectors = np.linalg.eigh(np.cov(patch.T, bias=True))
+        np.testing.assert_allclose(level.variance[i], values / values.sum(), atol=1e-6)
+        assert abs(vectors[:, 0] @ level.normals[i]) == pytest.approx(1, abs=1e-5)
