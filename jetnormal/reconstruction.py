@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from jetnormal import formats
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
-from jetnormal.estimation import EstimateOptions, Vector, estimate_cloud, prepare_estimator
+from jetnormal.estimation import MAX_COORDINATE, EstimateOptions, Vector, estimate_cloud, prepare_estimator
 from jetnormal.formats.meshes import check_mesh_target, write_mesh
 from jetnormal.formats.ply import PlyExtra
 from jetnormal.mesh import Mesh
@@ -218,6 +218,9 @@ def _faces_of(cloud: Cloud) -> list[str]:
 def _check_extent(points: NDArray[np.float64]) -> None:
     if len(points) < MIN_POINTS:
         raise InputError(f"{len(points)} different points with a normal: a surface needs at least {MIN_POINTS}")
+    largest = float(np.abs(points).max())
+    if largest > MAX_COORDINATE:
+        raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
     extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if extents[1] <= FLATNESS * extents[0]:
         raise InputError("all points lie on one line: they suggest no surface")

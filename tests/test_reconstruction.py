@@ -141,6 +141,7 @@ def test_a_mesh_given_for_a_cloud_is_told(tmp_path):
         (Cloud(np.arange(60.0)[:, None] * [1, 2, 3], sphere(60)), "one line"),
         (Cloud(sphere(50), np.full((50, 3), np.nan)), "--recompute"),
         (Cloud(sphere(50), np.zeros((50, 3))), "--recompute"),
+        (Cloud(np.r_[sphere(50), [[1e300, 0, 0]]], np.r_[sphere(50), [[1.0, 0, 0]]]), r"1e\+300"),
         (Cloud(np.zeros((0, 3))), "at least 3"),
     ],
 )

@@ -46,7 +46,7 @@ def poisson(
 ) -> Reconstruction:
     """The surface that oriented points suggest, closed off or running out where they end.
 
-    If the solver crashes, it is run once more on one thread.
+    If the solver crashes on several threads, it is run once more on one.
 
     Args:
         points: (N, 3) finite coordinates.
@@ -60,20 +60,20 @@ def poisson(
         that matches the spacing of the points around: one more for every halving.
 
     Raises:
-        ResourceError: Open3D is not there, or its solver has crashed twice.
+        ResourceError: Open3D is not there, or its solver has crashed on one thread, too.
     """
     if import_open3d() is None:
         raise ResourceError("surface reconstruction needs Open3D, which cannot be loaded here")
     with tempfile.TemporaryDirectory(prefix="jetnormal-") as folder:
         np.savez(Path(folder, _INPUT), points=points, normals=normals)
-        for count in (threads or -1, 1):
+        for count in dict.fromkeys((threads or -1, 1)):
             failure = _run(folder, str(depth), str(scale), str(count))
             if failure is None:
                 with np.load(Path(folder, _OUTPUT)) as arrays:
                     return arrays["vertices"], arrays["faces"], arrays["densities"]
             logger.debug("Poisson solver with %d threads: %s", count, failure)
     raise ResourceError(
-        f"the Poisson solver failed on {len(points)} points at depth {depth}, also on one thread ({failure}); "
+        f"the Poisson solver failed on {len(points)} points at depth {depth}, on one thread, too ({failure}); "
         "it may lack memory: try a smaller --depth"
     )
 
