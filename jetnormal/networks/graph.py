@@ -12,7 +12,7 @@ from jetnormal.geometry.pyramid import Level
 from jetnormal.networks.edge_kernels import FEATURES, edge_features
 from jetnormal.networks.edges import edge_messages, edge_mlp
 from jetnormal.networks.fits import smallest_eigenvector, votes
-from jetnormal.networks.rows import by_rows
+from jetnormal.networks.rows import by_rows, for_rows
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,13 @@ def connect(to: Nodes, sender: Nodes, neighbors: Tensor, unit: Tensor) -> Edges:
     own = [t.numpy() for t in (to.positions, to.normals, to.centroid, to.sign, to.scale, unit)]
     others = [t.numpy() for t in (sender.positions, sender.normals, sender.centroid, sender.sign, sender.scale)]
 
-    def invariants(rows: slice) -> Tensor:
-        features = torch.empty(*neighbors[rows].shape, FEATURES)
-        edge_features(*(array[rows] for array in own), *others, neighbors[rows].numpy(), features.numpy())
-        return features
+    features = torch.empty(*neighbors.shape, FEATURES)
 
-    return Edges(neighbors, unit, by_rows(invariants, len(neighbors)))
+    def describe(rows: slice) -> None:
+        edge_features(*(array[rows] for array in own), *others, neighbors[rows].numpy(), features[rows].numpy())
+
+    for_rows(describe, len(neighbors))
+    return Edges(neighbors, unit, features)
 
 
 class EdgeConv(nn.Module):

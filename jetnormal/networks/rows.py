@@ -18,27 +18,38 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count(), initializer=torch.set_num_threads, initargs=(1,))
 
 
+def for_rows(work: Callable[[slice], object], count: int) -> None:
+    """Calls work(rows) for the rows 0 to count, in chunks whose size does not depend on the number of threads.
+
+    The threads are as many as `torch.get_num_threads`; inside, each has PyTorch to itself.
+    """
+    chunks = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
+    threads = min(torch.get_num_threads(), len(chunks))
+    inference = torch.is_inference_mode_enabled()
+
+    def several(mine: list[slice]) -> None:
+        with torch.inference_mode(inference):  # a thread has its own mode
+            for rows in mine:
+                work(rows)
+
+    if threads <= 1:
+        several(chunks)
+    else:
+        list(_pool().map(several, (chunks[part::threads] for part in range(threads))))
+
+
 def by_rows(function: Callable[[slice], Tensor], count: int) -> Tensor:
     """function(rows) for the rows 0 to count of a result, put together.
 
-    While gradients are recorded that is a single call. Otherwise the rows come in chunks, whose size does not depend
-    on the number of threads (`torch.get_num_threads`), so that the result does not, either.
+    While gradients are recorded that is a single call, otherwise `for_rows` makes the calls.
     """
     if torch.is_grad_enabled() or count <= CHUNK:
         return function(slice(0, count))
-    chunks = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
-    first = function(chunks[0])
-    out = first.new_empty(count, *first.shape[1:])
-    out[chunks[0]] = first
+    like = function(slice(0, 1))
+    out = like.new_empty(count, *like.shape[1:])
 
-    def work(mine: list[slice]) -> None:
-        with torch.inference_mode():  # a thread has its own mode
-            for rows in mine:
-                out[rows] = function(rows)
+    def work(rows: slice) -> None:
+        out[rows] = function(rows)
 
-    threads = torch.get_num_threads()
-    if threads == 1:
-        work(chunks[1:])
-    else:
-        list(_pool().map(work, (chunks[1 + part :: threads] for part in range(threads))))
+    for_rows(work, count)
     return out
