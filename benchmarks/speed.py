@@ -1,6 +1,7 @@
 """Points per second and peak memory of every estimator, beside Open3D's, on one cloud in one run.
 
     python benchmarks/speed.py [--points 100000] [--repeats 3] [--model deepfit --model pca:k=30 ...]
+    python benchmarks/speed.py --stages cloudfit
 
 The cloud is a procedural solid with a little noise (0.25 % of its diagonal), from seed 1; nothing is downloaded.
 Each model runs in a process of its own, so that its peak memory is its own; the time is the median over the repeats,
@@ -14,11 +15,12 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
 import numpy as np
 
 OPEN3D = "open3d:k=30"
-DEFAULT_MODELS = ["pca:k=30", "jet:k=30,order=2", "jet:k=60,order=2", "deepfit"]
+DEFAULT_MODELS = ["pca:k=30", "jet:k=30,order=2", "jet:k=60,order=2", "cloudfit", "deepfit"]
 
 
 def cloud(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +62,7 @@ def measure(model: str, count: int, repeats: int) -> dict[str, float]:
         def run(points: np.ndarray) -> np.ndarray:
             return estimator(points).normals
 
-    run(points[:2000])  # imports and warm-up
+    run(points[:10_000])  # imports, compilation and warm-up
     seconds = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -70,15 +72,61 @@ def measure(model: str, count: int, repeats: int) -> dict[str, float]:
     return {"seconds": float(np.median(seconds)), "rmse": rmse(angles(normals, true)), "memory": memory}
 
 
+def print_stages(model: str, count: int, repeats: int) -> None:
+    """Where a whole-cloud model spends its time, as a table."""
+    import torch
+
+    from jetnormal.cloud_estimator import CloudEstimator, spatial_order
+    from jetnormal.estimators import make_estimator
+    from jetnormal.geometry.neighbors import NeighborIndex
+    from jetnormal.geometry.pyramid import NEIGHBORS, build_pyramid
+
+    estimator = make_estimator(model)
+    if not isinstance(estimator, CloudEstimator):
+        raise SystemExit(f"{model} looks at patches: it has no stages")
+    points, _ = cloud(count)
+    ordered = points[spatial_order(points)]
+    levels = len(estimator.network.config.channels)
+    with torch.inference_mode():
+        pyramid = build_pyramid(ordered, levels)
+        encoding = estimator.network.encode(pyramid)
+        stages = {
+            "spatial order": lambda: spatial_order(points),
+            "neighbors of the cloud": lambda: NeighborIndex(ordered).query(ordered, NEIGHBORS + 1),
+            "pyramid, with these neighbors": lambda: build_pyramid(ordered, levels),
+            "trunk": lambda: estimator.network.encode(pyramid),
+            "fit": lambda: estimator.fit_all(encoding, pyramid, torch.arange(count)),
+            "all": lambda: estimator(points),
+        }
+        print("| stage | seconds |\n|---|---|")
+        for name, stage in stages.items():
+            print(f"| {name} | {median_seconds(stage, repeats):.2f} |", flush=True)
+
+
+def median_seconds(run: Callable[[], object], repeats: int) -> float:
+    """The median time of a call, after one that is not counted."""
+    run()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        run()
+        seconds.append(time.perf_counter() - start)
+    return float(np.median(seconds))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=100_000)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--model", action="append", help="repeatable; the default is a choice of all kinds")
+    parser.add_argument("--stages", metavar="MODEL", help="print where a whole-cloud model spends its time")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # what the child processes are asked for
     arguments = parser.parse_args()
     if arguments.one:
         print(json.dumps(measure(arguments.one, arguments.points, arguments.repeats)))
+        return
+    if arguments.stages:
+        print_stages(arguments.stages, arguments.points, arguments.repeats)
         return
     rows = {}
     print(f"{arguments.points:,} points, median of {arguments.repeats}\n")

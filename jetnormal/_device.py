@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
 
 from jetnormal.errors import ResourceError, UsageError
+
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
 
 
 def resolve_device(text: str) -> str:
@@ -45,3 +50,14 @@ def torch_threads(threads: int | None) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def in_order(pool: ThreadPoolExecutor, function: Callable[[_In], _Out], arguments: Iterable[_In]) -> Iterator[_Out]:
+    """As the pool's own map, but an interrupt drops what has not begun."""
+    futures = [pool.submit(function, argument) for argument in arguments]
+    try:
+        for future in futures:
+            yield future.result()
+    finally:
+        for future in futures:
+            future.cancel()

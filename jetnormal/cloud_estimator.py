@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from jetnormal._device import torch_threads
+from jetnormal._device import in_order, torch_threads
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import COLLINEAR
 from jetnormal.geometry.pyramid import NEIGHBORS, Level, build_pyramid
@@ -52,32 +52,43 @@ class CloudEstimator:
     ) -> Prediction:
         """See `prediction.Estimator`."""
         queries = np.arange(len(points)) if queries is None else queries
-        order, parts = [], []
-        for core in _blocks(points, np.arange(len(points)), len(points) if len(points) <= WHOLE else CORE):
-            asked = np.flatnonzero(np.isin(queries, core))
+        blocks = list(_blocks(points, np.arange(len(points)), len(points) if len(points) <= WHOLE else CORE))
+        block_of = np.empty(len(points), dtype=np.int32)
+        for number, core in enumerate(blocks):
+            block_of[core] = number
+        place = np.empty(len(points), dtype=np.int64)
+        done, parts = [], []
+        for number, core in enumerate(blocks):
+            asked = np.flatnonzero(block_of[queries] == number)
             if len(asked) == 0:
                 continue
-            rows = core if len(core) == len(points) else _with_halo(points, core, self.threads)
-            order.append(asked)
-            rows = rows[_spatial_order(points[rows])]
-            place = np.empty(len(points), dtype=np.int64)
+            rows = core if len(blocks) == 1 else _with_halo(points, core, self.threads)
+            rows = rows[spatial_order(points[rows])]
             place[rows] = np.arange(len(rows))
+            asked = asked[np.argsort(place[queries[asked]])]
+            done.append(asked)
             parts += self._block(points[rows], place[queries[asked]], advance)
-        return joined(parts)[np.argsort(np.concatenate(order))]
+        return joined(parts)[np.argsort(np.concatenate(done))]
 
     @torch.inference_mode()
     def _block(
         self, points: NDArray[np.float64], queries: NDArray[np.int64], advance: Advance | None
     ) -> list[Prediction]:
         with torch_threads(self.threads):
-            workers = torch.get_num_threads()
             pyramid = build_pyramid(points - points.mean(axis=0), len(self.network.config.channels), self.threads)
             encoding = self.network.encode(pyramid)
+        return self.fit_all(encoding, pyramid, torch.from_numpy(queries), advance)
+
+    def fit_all(
+        self, encoding: Encoding, pyramid: list[Level], queries: Tensor, advance: Advance | None = None
+    ) -> list[Prediction]:
+        """The fit for (Q,) queries of an encoded cloud, in chunks, a thread each."""
         sound = _spans_plane(pyramid, encoding.parents)
         parts = []
-        chunks = torch.from_numpy(queries).split(self.batch_size)
+        chunks = queries.split(self.batch_size)
+        workers = self.threads or torch.get_num_threads()
         with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            for part in pool.map(lambda chunk: self._fit(encoding, sound[chunk], chunk), chunks):
+            for part in in_order(pool, lambda chunk: self._fit(encoding, sound[chunk], chunk), chunks):
                 parts.append(part)
                 if advance:
                     advance(len(part.normals))
@@ -129,8 +140,8 @@ def _with_halo(points: NDArray[np.float64], core: NDArray[np.int64], threads: in
     return np.concatenate([core, halo])
 
 
-def _spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """An order of (n, 3) points in which near ones are mostly close together (Morton): neighbors are then in the cache."""
+def spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """An order of (n, 3) points in which near ones are mostly close together (Morton), so that the cache has them."""
     low = points.min(axis=0)
     cells = ((points - low) * (0xFFFF / max(float(np.ptp(points, axis=0).max()), 1e-300))).astype(np.uint64)
     for shift, mask in ((32, 0xFFFF00000000FFFF), (16, 0x00FF0000FF0000FF), (8, 0xF00F00F00F00F00F),

@@ -7,18 +7,18 @@ weighs its points and corrects the result. `make_estimator` builds each from a t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from jetnormal._device import resolve_device
+from jetnormal._device import in_order, resolve_device
 from jetnormal.cloud_estimator import FIT_ROWS, CloudEstimator
 from jetnormal.errors import UsageError
 from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
@@ -32,8 +32,6 @@ from jetnormal.report import Advance
 
 CHUNK_POINTS = 1_000_000  # neighbors gathered at a time, about 100 MB
 BATCH_POINTS = 250_000  # neighbors in the default batch of a classical fit, at most: large patches come in few
-_In = TypeVar("_In")
-_Out = TypeVar("_Out")
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class PatchEstimator:
                 found, _ = index.query(points[chunk], k)
                 found[:, 0] = chunk  # of coincident points, another may come first
                 batches = zip(_split(chunk, self.batch_size), _split(found, self.batch_size), strict=True)
-                for part in _in_order(pool, lambda batch: self._predict(build_patches(points, *batch)), batches):
+                for part in in_order(pool, lambda batch: self._predict(build_patches(points, *batch)), batches):
                     parts.append(part)
                     if advance:
                         advance(len(part.normals))
@@ -262,14 +260,3 @@ def _order_for(points: int, order: int) -> int:
 
 def _split(values: NDArray[np.int64], size: int) -> Iterator[NDArray[np.int64]]:
     return (values[start : start + size] for start in range(0, len(values), size))
-
-
-def _in_order(pool: ThreadPoolExecutor, function: Callable[[_In], _Out], arguments: Iterable[_In]) -> Iterator[_Out]:
-    """As the pool's own map, but an interrupt drops what has not begun."""
-    futures = [pool.submit(function, argument) for argument in arguments]
-    try:
-        for future in futures:
-            yield future.result()
-    finally:
-        for future in futures:
-            future.cancel()
