@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
 from jetnormal.prediction import Estimator, Prediction
 from jetnormal.report import StageTimer, peak_memory_mb, progress
+
+if TYPE_CHECKING:
+    from jetnormal.geometry.orient import Orientation
 
 DEFAULT_MODEL = "deepfit"
 MIN_NETWORK_POINTS = 64  # a smaller cloud is less than a network has ever seen: a jet does better
@@ -35,11 +38,13 @@ class EstimateOptions:
         k: neighbors in a patch; None takes the model's.
         order: of the jet, for "jet".
         iterations: of a network: from the second on, each normal found replaces the learned z-direction.
-        orient: "auto", "none", "mst", "viewpoint" or "up" (`geometry.orient`). "auto" takes the viewpoint, given
-            or in the file, and "mst" without one.
+        orient: "auto", "global", "mst", "viewpoint", "up" or "none" (`geometry.orient`). "auto" takes the viewpoint,
+            given or in the file, and "global" without one.
         viewpoint: the sensor's position in the cloud's coordinates.
+        viewpoint_attribute: names of three attributes that hold the sensor's position for each point.
         curvature: whether to add the attributes curvature (mean), curvature_max and curvature_min.
         confidence: whether to add the attribute confidence (`estimators.Prediction`).
+        sign_confidence: whether to add the attribute sign_confidence (`geometry.orient.Orientation`).
         batch_size: patches at a time; None takes the estimator's.
         device: "auto", "cpu", "cuda" or "cuda:N".
         threads: CPU threads; None for all cores.
@@ -53,8 +58,10 @@ class EstimateOptions:
     iterations: int = 1
     orient: str = "auto"
     viewpoint: Vector | None = None
+    viewpoint_attribute: tuple[str, str, str] | None = None
     curvature: bool = False
     confidence: bool = False
+    sign_confidence: bool = False
     batch_size: int | None = None
     device: str = "auto"
     threads: int | None = None
@@ -71,7 +78,7 @@ def estimate(points: NDArray[Any] | Cloud, **options: Any) -> NDArray[np.float64
 
     Args:
         points: (N, 3) coordinates, or a cloud.
-        **options: the fields of `EstimateOptions`, such as `model="deepfit"` or `orient="mst"`.
+        **options: the fields of `EstimateOptions`, such as `model="deepfit"` or `orient="up"`.
 
     Returns:
         For coordinates, (N, 3) float64 normals; for a cloud, a new one with normals and the attributes asked for.
@@ -153,9 +160,10 @@ def estimate_cloud(
         InputError, UsageError: as `estimate`.
     """
     from jetnormal.geometry.neighbors import distinct
-    from jetnormal.geometry.orient import orient
+    from jetnormal.geometry.orient import choose_signs
+    from jetnormal.orientation import sign_method, sign_warnings
 
-    method, viewpoint = _orientation(options, cloud)
+    method, viewpoint = sign_method(options, cloud)
     with timer.stage("clean"):
         rows = np.flatnonzero(cloud.valid)
         points = cloud.points[rows]
@@ -164,16 +172,20 @@ def estimate_cloud(
             raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
         first, copies = distinct(points)
         points = points[first]
+        if viewpoint is not None and viewpoint.ndim == 2:
+            viewpoint = viewpoint[rows][first]
     if len(points) < 3:
         raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
     estimator, warnings = _suited_to(len(points), estimator, options)
     with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
         prediction = estimator(points, advance=advance)
     with timer.stage("orient"):
-        normals = orient(points, prediction.normals, method, viewpoint=viewpoint)
+        orientation = choose_signs(points, prediction.normals, method, viewpoint=viewpoint)
+    normals = orientation.normals
+    warnings += sign_warnings(orientation, viewpoint)
 
     full_normals = _spread(normals.astype(np.float64), copies, rows, len(cloud))
-    found = _attributes(prediction, normals, options)
+    found = _attributes(prediction, orientation, options)
     warnings += [f"attribute {name!r} of the input is replaced" for name in found if name in cloud.attributes]
     attributes = cloud.attributes | {
         name: _spread(values, copies, rows, len(cloud)) for name, values in found.items()
@@ -194,16 +206,9 @@ def prepare_estimator(options: EstimateOptions) -> Estimator:
         UsageError, ModelError, ResourceError: as `estimate`.
     """
     from jetnormal.estimators import make_estimator
-    from jetnormal.geometry.orient import Method
+    from jetnormal.orientation import check_sign_options
 
-    methods = ("auto", *get_args(Method))
-    if options.orient not in methods:
-        raise UsageError(f"there is no orientation {options.orient!r}; choose from {', '.join(methods)}")
-    viewpoint = options.viewpoint
-    if viewpoint is not None and (np.shape(viewpoint) != (3,) or not np.isfinite(viewpoint).all()):
-        raise UsageError("--viewpoint takes three finite numbers")
-    if viewpoint is not None and options.orient not in ("auto", "viewpoint"):
-        raise UsageError(f"--viewpoint contradicts --orient {options.orient}: leave one of them out")
+    check_sign_options(options)
     model = DEFAULT_MODEL if options.model == "auto" else options.model
     iterations = options.iterations if options.iterations != 1 else None
     estimator = make_estimator(model, k=options.k, order=options.order, iterations=iterations, **_resources(options))
@@ -228,21 +233,6 @@ def _suited_to(count: int, estimator: Estimator, options: EstimateOptions) -> tu
     return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
 
 
-def _orientation(options: EstimateOptions, cloud: Cloud) -> tuple[Any, Vector | None]:
-    """The method that settles the signs, and its viewpoint: the one given, else the file's."""
-    from jetnormal.geometry.orient import choose_method
-
-    if options.viewpoint is not None:
-        return "viewpoint", options.viewpoint
-    known = cloud.source.viewpoint
-    method = choose_method(known) if options.orient == "auto" else options.orient
-    if method != "viewpoint":
-        return method, None
-    if known is None or not np.isfinite(known[:3]).all():
-        raise UsageError("--orient viewpoint needs --viewpoint X,Y,Z: the file does not tell one")
-    return method, (known[0], known[1], known[2])
-
-
 def _spread(
     values: NDArray[Any], copies: NDArray[np.int64], rows: NDArray[np.int64], count: int
 ) -> NDArray[Any]:
@@ -253,19 +243,21 @@ def _spread(
 
 
 def _attributes(
-    prediction: Prediction, normals: NDArray[np.float32], options: EstimateOptions
+    prediction: Prediction, orientation: Orientation, options: EstimateOptions
 ) -> dict[str, NDArray[np.float32]]:
     """The per-point results asked for beside the normals."""
     found = {}
     if options.curvature and prediction.curvatures is not None:
         # a normal that was turned round sees every bend from the other side
-        turned = (normals * prediction.normals).sum(axis=1) < 0
+        turned = (orientation.normals * prediction.normals).sum(axis=1) < 0
         high, low = prediction.curvatures.T
         found["curvature"] = (high + low) / 2 * np.where(turned, -1, 1).astype(np.float32)
         found["curvature_max"] = np.where(turned, -low, high)
         found["curvature_min"] = np.where(turned, -high, low)
     if options.confidence:
         found["confidence"] = prediction.confidence
+    if options.sign_confidence:
+        found["sign_confidence"] = orientation.confidence
     return found
 
 

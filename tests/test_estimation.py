@@ -90,7 +90,7 @@ def test_a_file_keeps_all_that_it_held_and_gains_normals(tmp_path):
         "curvature", "curvature_max", "curvature_min", "confidence",
     }  # fmt: skip
     assert summary["points"] == summary["valid"] == 500
-    assert summary["orient"] == "mst" and summary["model"] == "jet:k=60,order=2"
+    assert summary["orient"] == "global" and summary["model"] == "jet:k=60,order=2"
     assert set(summary["seconds"]) == {"read", "clean", "model", "estimate", "orient", "write"}
 
 
@@ -106,7 +106,7 @@ def test_curvature_follows_the_oriented_normal():
 def test_auto_orientation_takes_the_viewpoint_of_a_pcd_file(tmp_path):
     text = "\n".join(f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in sphere(400))
     header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 400\nHEIGHT 1\n"
-    for viewpoint, expected in (("0 0 0", "mst"), ("0 0 9", "viewpoint")):
+    for viewpoint, expected in (("0 0 0", "global"), ("0 0 9", "viewpoint")):
         source = tmp_path / f"{expected}.pcd"
         source.write_text(f"{header}VIEWPOINT {viewpoint} 1 0 0 0\nPOINTS 400\nDATA ascii\n{text}\n")
         summary = estimate_file(source, tmp_path / f"{expected}_n.pcd", EstimateOptions(model="pca"))

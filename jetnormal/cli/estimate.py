@@ -23,6 +23,14 @@ def parse_viewpoint(text: str) -> Viewpoint:
     return x, y, z
 
 
+def parse_names(text: str) -> tuple[str, ...]:
+    """Turn "X,Y,Z" into three names."""
+    names = tuple(part.strip() for part in text.split(","))
+    if len(names) != 3 or not all(names):
+        raise typer.BadParameter(f"{text!r} is not X,Y,Z: three names of attributes with commas between them")
+    return names
+
+
 def estimate(
     input: Annotated[Path, typer.Argument(metavar="INPUT", help="Point cloud: .ply, .pcd or .xyz.")],
     output: Annotated[
@@ -44,15 +52,23 @@ def estimate(
         int, typer.Option(min=1, metavar="N", help="Fits per patch; each takes the normal of the last as its z axis.")
     ] = 1,
     orient: Annotated[
-        Literal["auto", "none", "mst", "viewpoint", "up"], typer.Option(help="How the signs are chosen.")
+        Literal["auto", "global", "mst", "viewpoint", "up", "none"],
+        typer.Option(help="How the signs are chosen; auto takes the viewpoint if one is known, else global: outward."),
     ] = "auto",
     viewpoint: Annotated[
         Any,
         typer.Option(parser=parse_viewpoint, metavar="X,Y,Z", help="Position that the normals look towards."),
     ] = None,
+    viewpoint_attribute: Annotated[
+        Any,
+        typer.Option(parser=parse_names, metavar="X,Y,Z", help="Attributes that hold this position for each point."),
+    ] = None,
     curvature: Annotated[bool, typer.Option("--curvature", help="Also write the curvatures.")] = False,
     confidence: Annotated[
         bool, typer.Option("--confidence", help="Also write each normal's confidence.")
+    ] = False,
+    sign_confidence: Annotated[
+        bool, typer.Option("--sign-confidence", help="Also write how sure each sign is.")
     ] = False,
     batch_size: Annotated[
         int | None, typer.Option(min=1, metavar="B", help="Patches per batch.", show_default="fits memory")
@@ -98,8 +114,10 @@ def estimate(
         iterations=iterations,
         orient=orient,
         viewpoint=viewpoint,
+        viewpoint_attribute=viewpoint_attribute,
         curvature=curvature,
         confidence=confidence,
+        sign_confidence=sign_confidence,
         batch_size=batch_size,
         device=device,
         threads=threads,
