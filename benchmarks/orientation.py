@@ -1,0 +1,151 @@
+"""Signs of normals on a benchmark in PCPNet's layout: jetnormal's methods beside plain spanning trees and Open3D's.
+
+    python benchmarks/orientation.py FOLDER [--list LIST] [--model deepfit --model jet:k=60 --model true ...]
+
+All points of all clouds count. For each model ("true": the true normals, with random signs) and method, a table by
+category: the share of outward normals as they come; the share after turning the whole cloud if that is better; the
+oriented RMSE, in degrees; and the seconds that the signs took. Each cloud and method runs in a process of its own,
+which is ended after --limit seconds; a category with such a cloud has no numbers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jetnormal.pcpnet import categorize, cloud_names, read_cloud
+
+METHODS = ["global", "mst", "plain", "open3d"]
+NEIGHBORS = 12  # of a plain spanning tree, and of Open3D's
+
+
+def plain_tree(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Hoppe et al., 1992: a spanning tree of 1 - |n.n'|, the highest point looking up."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import minimum_spanning_tree
+
+    from jetnormal.geometry.neighbors import NeighborIndex
+    from jetnormal.geometry.signs import Forest, spread_signs
+
+    n = len(points)
+    neighbors = NeighborIndex(points).query(points, NEIGHBORS + 1)[0][:, 1:]
+    dot = np.einsum("nd,nkd->nk", normals, normals[neighbors])
+    weight = np.maximum(1 - np.abs(dot), 1e-9)
+    graph = csr_matrix((weight.ravel(), neighbors.ravel(), np.arange(n + 1) * NEIGHBORS), (n, n))
+    tree = minimum_spanning_tree(graph).tocoo()
+    agreement = np.einsum("ed,ed->e", normals[tree.row], normals[tree.col])
+    flips, component = spread_signs(Forest(tree.row, tree.col, agreement, n))
+    normals = normals * np.where(flips, -1, 1)[:, None]
+    order = np.lexsort((points[:, 2], component))
+    top = order[np.append(np.flatnonzero(np.diff(component[order])), n - 1)]
+    return normals * np.where(normals[top, 2] < 0, -1, 1)[component][:, None]
+
+
+def open3d_plane(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    from jetnormal._open3d import import_open3d
+
+    open3d = import_open3d()
+    if open3d is None:
+        raise SystemExit("Open3D cannot be imported here")
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.normals = open3d.utility.Vector3dVector(normals)
+    cloud.orient_normals_consistent_tangent_plane(NEIGHBORS)
+    return np.asarray(cloud.normals)
+
+
+def measure(method: str, file: Path) -> dict[str, float]:
+    """Chooses signs in this process, after a small cloud that pays for the imports."""
+    from jetnormal.geometry.metrics import angles, oriented_accuracy, rmse
+    from jetnormal.geometry.orient import orient
+
+    def run(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        if method == "plain":
+            return plain_tree(points, normals)
+        return open3d_plane(points, normals) if method == "open3d" else orient(points, normals, method)
+
+    data = np.load(file)
+    run(data["points"][:2000], data["normals"][:2000])
+    start = time.perf_counter()
+    normals = run(data["points"], data["normals"])
+    seconds = time.perf_counter() - start
+    share, better = oriented_accuracy(normals, data["true"])
+    error = rmse(angles(normals, data["true"], oriented=True))
+    return {"outward": share, "better": better, "rmse": error, "seconds": seconds}
+
+
+def attempt(method: str, file: Path, limit: float) -> dict[str, float] | None:
+    """Measures in a child process; None if that crashes or takes too long."""
+    command = [sys.executable, __file__, str(file), "--one", method]
+    try:
+        output = subprocess.run(command, check=True, capture_output=True, text=True, timeout=limit).stdout
+    except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
+        print(f"{file.stem}, {method}: {type(error).__name__}", file=sys.stderr)
+        return None
+    return json.loads(output.splitlines()[-1])
+
+
+def scrambled(normals: np.ndarray) -> np.ndarray:
+    signs = np.random.default_rng(1).choice([-1.0, 1.0], (len(normals), 1))
+    return np.where(np.isfinite(normals), normals, 0).astype(np.float64) * signs
+
+
+def print_table(model: str, found: dict[str, dict[str, list[dict[str, float] | None]]]) -> None:
+    categories = list(dict.fromkeys(category for rows in found.values() for category in rows))
+    print(f"\n{model}: outward %, % after the better flip, oriented RMSE, seconds\n")
+    print("| method | " + " | ".join(categories) + " |\n|---|" + "---|" * len(categories))
+    for method, rows in found.items():
+        cells = []
+        for category in categories:
+            results = rows[category]
+            done = [result for result in results if result is not None]
+            if len(done) < len(results):
+                cells.append(f"{len(done)} of {len(results)} finished")
+                continue
+            mean = {key: np.mean([result[key] for result in done]) for key in done[0]}
+            cells.append(
+                f"{100 * mean['outward']:.2f}, {100 * mean['better']:.2f}, {mean['rmse']:.1f}°, {mean['seconds']:.2f} s"
+            )
+        print(f"| {method} | " + " | ".join(cells) + " |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--list", help="file in the folder that names clouds; without it, all")
+    parser.add_argument("--model", action="append", help="repeatable; default: the default model")
+    parser.add_argument("--method", action="append", choices=METHODS, help="repeatable; default: all")
+    parser.add_argument("--limit", type=float, default=120.0, help="seconds per cloud and method")
+    parser.add_argument("--one", help=argparse.SUPPRESS)  # what the child processes are asked for
+    arguments = parser.parse_args()
+    if arguments.one:
+        print(json.dumps(measure(arguments.one, arguments.folder)))
+        return
+    from jetnormal.estimation import DEFAULT_MODEL
+    from jetnormal.estimators import make_estimator
+
+    clouds = categorize(arguments.folder, cloud_names(arguments.folder, arguments.list))
+    for model in arguments.model or [DEFAULT_MODEL]:
+        estimator = None if model == "true" else make_estimator(model)
+        found: dict[str, Any] = {method: defaultdict(list) for method in arguments.method or METHODS}
+        for cloud, category in clouds.items():
+            points, true, _ = read_cloud(arguments.folder, cloud)
+            normals = scrambled(true if estimator is None else estimator(points).normals)
+            with tempfile.TemporaryDirectory() as folder:
+                file = Path(folder) / f"{cloud}.npz"
+                np.savez(file, points=points, normals=normals, true=true)
+                for method, rows in found.items():
+                    rows[category].append(attempt(method, file, arguments.limit))
+        print_table(model, found)
+
+
+if __name__ == "__main__":
+    main()
