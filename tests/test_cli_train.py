@@ -95,7 +95,7 @@ def test_trained_cloudfit_is_usable(tmp_path, monkeypatch, capsys):
     arguments = ["--model", "cloudfit", "--synthetic", *small, "--epochs", "1", "--order", "3", "-o", folder, "--json"]
     assert run(monkeypatch, *arguments) == 0
     summary = json.loads(capsys.readouterr().out)
-    assert summary["parameters"] == 2_129_208
+    assert summary["parameters"] == 2_129_273
     assert 0 < metrics(folder)[0]["rmse"] < 90
     points = np.random.default_rng(1).uniform(size=(200, 3)) * [1, 1, 0.01]
     normals = make_estimator(summary["model"])(points).normals

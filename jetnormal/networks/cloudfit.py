@@ -85,7 +85,7 @@ class CloudPrediction:
     Attributes:
         direction: (Q, 3) z-directions.
         rough: (Q, 3) normals of the jet, on the side of the z-direction.
-        refined: (Q, 3) corrected normals.
+        refined: (Q, 3) corrected normals: a learned blend of the two above, pulled by the neighbors.
         jet: the fit over the z-direction, in units of `unit`.
         unit: (Q,) unit of length of the jet, in the cloud's.
         confidence: (Q,) logit of the probability that the refined normal is off by less than 10 degrees.
@@ -117,6 +117,7 @@ class CloudFit(nn.Module):
         self.head = nn.ModuleList(EdgeWeights(c[0], width, hidden, 6) for width in c[:FIT_LEVELS])
         self.own = nn.Linear(c[0], 1)
         self.confidence = nn.Sequential(nn.Linear(c[0] + 1, hidden), nn.ReLU(), nn.Linear(hidden, 1))
+        self.blend = nn.Linear(c[0], 1)
 
     def for_inference(self) -> CloudFit:
         """The network itself, as it is used to estimate."""
@@ -204,24 +205,26 @@ class CloudFit(nn.Module):
         jet = weighted_jets(torch.sigmoid(weight) + LEAST_WEIGHT, local, self.config.order)
         rough = (frame @ jet.normal[:, :, None])[:, :, 0]
         residual = local[..., 2] - jet.heights(local[..., :2])
-        refined = _corrected(rough, pull, spring, torch.cat(normals, 1), offset, residual)
+        blend = torch.lerp(rough, direction, torch.sigmoid(self.blend(h)))
+        added = _pull(rough.detach(), pull, spring, torch.cat(normals, 1), offset, residual)
+        refined = F.normalize(blend + added, dim=1)
         change = 1 - (refined * rough).sum(1, keepdim=True)
         confidence = self.confidence(torch.cat([h, 10 * change], 1).detach())[:, 0]
         return CloudPrediction(direction, rough, refined, jet, here.scale, confidence)
 
 
-def _corrected(
+def _pull(
     rough: Tensor, pull: Tensor, spring: Tensor, normals: Tensor, offset: Tensor, residual: Tensor
 ) -> Tensor:
-    """(Q, 3) unit vectors: the rough normals plus the mean of what each neighbor adds to them.
+    """(Q, 3) mean of what the neighbors add to the normals.
 
     A neighbor adds its normal, and its offset times the residual of the fit, each by a learned factor between -1
     and 1 and on the side of the rough normal: both turn their sign with it.
     """
-    aligned = normals * (normals * rough.detach()[:, None]).sum(2, keepdim=True)
+    aligned = normals * (normals * rough[:, None]).sum(2, keepdim=True)
     square = offset.square().sum(2).clamp_min(1e-12)
     added = torch.tanh(pull)[..., None] * aligned + (torch.tanh(spring) * residual / square)[..., None] * offset
-    return F.normalize(rough + added.mean(1), dim=1)
+    return added.mean(1)
 
 
 def tangent_frame(z: Tensor) -> Tensor:
