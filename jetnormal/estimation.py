@@ -21,7 +21,7 @@ from jetnormal.report import StageTimer, peak_memory_mb, progress
 if TYPE_CHECKING:
     from jetnormal.geometry.orient import Orientation
 
-DEFAULT_MODEL = "deepfit"
+DEFAULT_MODEL = "cloudfit"
 MIN_NETWORK_POINTS = 64  # a smaller cloud is less than a network has ever seen: a jet does better
 MAX_COORDINATE = 1e150  # squares of differences must be finite
 
@@ -78,7 +78,7 @@ def estimate(points: NDArray[Any] | Cloud, **options: Any) -> NDArray[np.float64
 
     Args:
         points: (N, 3) coordinates, or a cloud.
-        **options: the fields of `EstimateOptions`, such as `model="deepfit"` or `orient="up"`.
+        **options: the fields of `EstimateOptions`, such as `model="jet"` or `orient="up"`.
 
     Returns:
         For coordinates, (N, 3) float64 normals; for a cloud, a new one with normals and the attributes asked for.
@@ -161,7 +161,7 @@ def estimate_cloud(
     """
     from jetnormal.geometry.neighbors import distinct
     from jetnormal.geometry.orient import choose_signs
-    from jetnormal.orientation import sign_method, sign_warnings
+    from jetnormal.orientation import seen_from_origin, sign_method, sign_warnings
 
     method, viewpoint = sign_method(options, cloud)
     with timer.stage("clean"):
@@ -181,8 +181,10 @@ def estimate_cloud(
         prediction = estimator(points, advance=advance)
     with timer.stage("orient"):
         orientation = choose_signs(points, prediction.normals, method, viewpoint=viewpoint)
+        from_origin = seen_from_origin(orientation, points, options, cloud)
+    orientation = from_origin or orientation
     normals = orientation.normals
-    warnings += sign_warnings(orientation, viewpoint)
+    warnings += sign_warnings(orientation, viewpoint, from_origin is not None)
 
     full_normals = _spread(normals.astype(np.float64), copies, rows, len(cloud))
     found = _attributes(prediction, orientation, options)
@@ -225,11 +227,11 @@ def _suited_to(count: int, estimator: Estimator, options: EstimateOptions) -> tu
     """The estimator for a cloud of so many points, and what to say if it is not quite the one asked for."""
     from jetnormal.estimators import make_estimator
 
-    if count >= estimator.neighbors:
-        return estimator, []
     if count < MIN_NETWORK_POINTS and not estimator.name.startswith(("pca", "jet")):
         jet = make_estimator("jet", k=max(3, count), **_resources(options))
         return jet, [f"{count} points are too few for {estimator.name}: a jet was fitted to all of them instead"]
+    if count >= estimator.neighbors:
+        return estimator, []
     return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
 
 

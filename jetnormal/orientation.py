@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Protocol, get_args
 
 import numpy as np
@@ -11,6 +12,7 @@ from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
 from jetnormal.geometry.orient import Method, Orientation, default_method
 
+ONE_SIDE = 0.97  # of the open points: a surface that a sensor saw shows it one side
 OPEN_SHARE = 0.05  # of the points; below it, they are specks beside a closed surface
 
 
@@ -71,13 +73,42 @@ def sign_method(options: SignOptions, cloud: Cloud) -> tuple[Method, NDArray[np.
     return method, np.asarray(known[:3], dtype=np.float64)
 
 
-def sign_warnings(orientation: Orientation, viewpoint: NDArray[np.float64] | None) -> list[str]:
+def seen_from_origin(
+    orientation: Orientation, points: NDArray[np.float64], options: SignOptions, cloud: Cloud
+) -> Orientation | None:
+    """Open surfaces turned towards the origin of a PCD file, if it is plausible that a sensor stood there.
+
+    A VIEWPOINT at the origin is what writers put where they know nothing, and also the truth in a sensor's own frame.
+    It is taken for the truth where nothing better is known and consistent signs show it one side of the surfaces.
+
+    Args:
+        orientation: of the points, by "global".
+        points: (N, 3).
+        options: of the user.
+        cloud: that the points come from.
+
+    Returns:
+        The orientation with these signs; None where they do not apply.
+    """
+    known, is_open = cloud.source.viewpoint, orientation.open
+    if known is None or any(known[:3]) or options.orient != "auto" or is_open.mean() <= OPEN_SHARE:
+        return None
+    facing = np.einsum("nd,nd->n", orientation.normals, -points) > 0
+    share = float(facing[is_open].mean())
+    if min(share, 1 - share) > 1 - ONE_SIDE:
+        return None
+    normals = np.where((is_open & ~facing)[:, None], -orientation.normals, orientation.normals)
+    return replace(orientation, normals=normals)
+
+
+def sign_warnings(orientation: Orientation, viewpoint: NDArray[np.float64] | None, from_origin: bool) -> list[str]:
     """What a user should know about the signs."""
     warnings = []
     share = float(orientation.open.mean()) if len(orientation.open) else 0.0
     if share > OPEN_SHARE:
+        side = "towards the VIEWPOINT of the file, its origin" if from_origin else "up"
         warnings.append(
-            f"{share:.0%} of the points lie on open surfaces, which have no outside: their normals look up; "
+            f"{share:.0%} of the points lie on open surfaces, which have no outside: their normals look {side}; "
             "--viewpoint tells which side was seen"
         )
     unseen = 0 if viewpoint is None or viewpoint.ndim == 1 else int((~np.isfinite(viewpoint).all(axis=1)).sum())

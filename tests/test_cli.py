@@ -198,6 +198,8 @@ def test_estimate_hands_over_its_options(estimation, monkeypatch):
         "iterations": 3,
         "orient": "viewpoint",
         "viewpoint": (-1.0, 2.5, 300.0),
+        "viewpoint_attribute": None,
+        "sign_confidence": False,
         "curvature": True,
         "confidence": True,
         "batch_size": 64,

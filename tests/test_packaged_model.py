@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
 from jetnormal import load_model
+from jetnormal.estimation import DEFAULT_MODEL
 from jetnormal.estimators import make_estimator
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.networks.checkpoint import packaged_names
@@ -33,17 +36,43 @@ def test_deepfit_is_packaged_and_small():
     assert sum(p.numel() for p in load_model("deepfit").parameters()) < 1_000_000
 
 
+def test_cloudfit_is_packaged_and_the_default():
+    assert "cloudfit" in packaged_names()
+    assert sum(p.numel() for p in load_model("cloudfit").parameters()) < 3_000_000
+    assert DEFAULT_MODEL == "cloudfit"
+
+
+@pytest.mark.parametrize("model", ["cloudfit", "deepfit"])
 @pytest.mark.parametrize(("noise", "share"), [(0.0, 0.75), (1.25e-3, 0.85), (6e-3, 1.0)])
-def test_deepfit_beats_a_plane_and_a_jet(noise, share):
+def test_networks_beat_a_plane_and_a_jet(model, noise, share):
     classical = min(error("pca:k=112", noise), error("jet:k=122,order=2", noise))
-    assert error("deepfit", noise) < share * classical
+    assert error(model, noise) < share * classical
 
 
-def test_confidence_tells_good_normals_from_bad():
+@pytest.mark.parametrize("model", ["cloudfit", "deepfit"])
+def test_confidence_tells_good_normals_from_bad(model):
     rng = np.random.default_rng(SEEDS[0])
     points, normals = random_solid(rng).sample(30_000, rng)
     queries = rng.choice(len(points), 1000, replace=False)
-    found = make_estimator("deepfit")(points, queries)
+    found = make_estimator(model)(points, queries)
     errors = angles(found.normals, normals[queries])
     order = np.argsort(found.confidence)
     assert rmse(errors[order[:200]]) > 1.2 * rmse(errors[order[-500:]])
+
+
+def test_confidence_of_cloudfit_is_the_share_of_normals_within_10_degrees():
+    confidence, good = [], []
+    estimator = make_estimator("cloudfit")
+    for seed, noise in itertools.product(SEEDS, (0.0, 6e-3)):
+        rng = np.random.default_rng(seed)
+        points, normals = random_solid(rng).sample(30_000, rng)
+        found = estimator(add_noise(points, noise, rng) if noise else points)
+        confidence.append(found.confidence)
+        good.append(angles(found.normals, normals) < 10)
+    assert np.mean(np.concatenate(confidence)) == pytest.approx(np.mean(np.concatenate(good)), abs=0.07)
+
+
+def test_cloudfit_follows_a_small_sphere_as_a_jet_does():
+    normals = np.random.default_rng(0).normal(size=(64, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    assert rmse(angles(make_estimator("cloudfit")(normals).normals, normals)) < 10

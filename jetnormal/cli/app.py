@@ -54,7 +54,7 @@ def describe(
       jetnormal estimate scan.ply -o scan_normals.ply
       jetnormal reconstruct scan.ply -o mesh.ply
       jetnormal preview mesh.ply -o picture.png
-      jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112
+      jetnormal evaluate --data pcpnet --model cloudfit --model pca:k=112
       jetnormal train --data pcpnet -o run
       jetnormal dataset --synthetic 8 -o benchmark
       jetnormal estimate --help

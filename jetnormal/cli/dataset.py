@@ -45,7 +45,7 @@ def dataset(
       jetnormal dataset --meshes meshes -o benchmark
       jetnormal dataset --synthetic 8 -o benchmark --points 20000
       jetnormal dataset --synthetic 50 --split training --seed 2 -o training
-      jetnormal evaluate --data benchmark --model deepfit
+      jetnormal evaluate --data benchmark --model cloudfit
     """
     set_verbosity(quiet, verbose)
     from jetnormal.training.generation import DatasetOptions, write_dataset

@@ -38,7 +38,7 @@ def estimate(
     ],
     model: Annotated[
         str,
-        typer.Option(metavar="NAME|FILE", help="Packaged network (deepfit), pca, jet, or a checkpoint file."),
+        typer.Option(metavar="NAME|FILE", help="Packaged network (cloudfit, deepfit), pca, jet, or a checkpoint file."),
     ] = "auto",
     k: Annotated[
         int | None,

@@ -74,10 +74,10 @@ def evaluate(
 
     \b
     Examples:
-      jetnormal evaluate --data pcpnet --model deepfit
-      jetnormal evaluate --data pcpnet --model deepfit --model pca:k=112 --model jet:k=122,order=2 --plots plots
+      jetnormal evaluate --data pcpnet --model cloudfit
+      jetnormal evaluate --data pcpnet --model cloudfit --model pca:k=112 --model jet:k=122,order=2 --plots plots
       jetnormal evaluate --data pcpnet --list testset_no_noise.txt --model run/model.safetensors --json
-      jetnormal evaluate --data pcpnet --model deepfit --results kept --format csv > scores.csv
+      jetnormal evaluate --data pcpnet --model cloudfit --results kept --format csv > scores.csv
     """
     set_verbosity(quiet, verbose)
     if json and table:
