@@ -107,7 +107,7 @@ def train(
         typer.Option(min=0.0625, metavar="F", help="Factor on the transform's.", show_default="the configuration's"),
     ] = None,
     epochs: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Passes over the data.", show_default="700, or 32 for cloudfit")
+        int, typer.Option(min=1, metavar="N", help="Passes over the data.", show_default="700, or 30 for cloudfit")
     ] = 700,
     patches_per_cloud: Annotated[
         int, typer.Option(min=1, metavar="N", help="Patches of each cloud in an epoch.")

@@ -47,7 +47,7 @@ class CloudTrainOptions:
         data: name of the data, for the record.
     """
 
-    epochs: int = 32
+    epochs: int = 30
     batch_size: int = 2
     learning_rate: float = 2e-3
     crop_points: int = 8000
