@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,8 @@ from jetnormal import Cloud, formats
 from jetnormal.cloud import Source
 from jetnormal.errors import InputError, UsageError
 from jetnormal.estimation import EstimateOptions, estimate, estimate_file
-from jetnormal.orientation import sign_method
+from jetnormal.geometry.orient import Orientation
+from jetnormal.orientation import seen_from_origin, sign_method
 
 
 def sphere(count=600):
@@ -87,3 +90,35 @@ def test_options_that_name_no_viewpoint_are_refused(options, error):
     points = sphere(100)
     with pytest.raises(error):
         estimate(Cloud(points, attributes=stations(points)), model="pca", **options)
+
+
+def sheet(tilt: float = 0.0) -> tuple[np.ndarray, Orientation]:
+    """Points one unit in front of the origin, on an open surface whose normals look away from it."""
+    xy = np.random.default_rng(0).random((200, 2)) - 0.5
+    points = np.column_stack([xy, np.ones(200)])
+    normals = np.tile([0.0, 0.0, 1.0], (200, 1))
+    normals[: round(200 * tilt)] *= -1
+    return points, Orientation(normals, np.ones(200, dtype=np.float32), np.ones(200, dtype=bool))
+
+
+def pcd(points: np.ndarray, *position: float) -> Cloud:
+    return Cloud(points, source=Source(viewpoint=(*position, 1.0, 0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.01, 1.0])
+def test_open_surfaces_of_which_the_origin_sees_one_side_look_at_it(tilt):
+    points, orientation = sheet(tilt)
+    seen = seen_from_origin(orientation, points, EstimateOptions(), pcd(points, 0, 0, 0))
+    assert seen is not None
+    assert (seen.normals[:, 2] == -1).all()
+
+
+def test_the_origin_is_not_believed_without_reason():
+    points, orientation = sheet()
+    closed = replace(orientation, open=np.zeros(200, dtype=bool))
+    origin = pcd(points, 0, 0, 0)
+    assert seen_from_origin(sheet(0.5)[1], points, EstimateOptions(), origin) is None
+    assert seen_from_origin(closed, points, EstimateOptions(), origin) is None
+    assert seen_from_origin(orientation, points, EstimateOptions(orient="global"), origin) is None
+    assert seen_from_origin(orientation, points, EstimateOptions(), pcd(points, 1, 0, 0)) is None
+    assert seen_from_origin(orientation, points, EstimateOptions(), Cloud(points)) is None
