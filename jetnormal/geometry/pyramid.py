@@ -7,12 +7,11 @@ rotated, moved, scaled or permuted pyramid.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from jetnormal._compiled import compiled
 from jetnormal.geometry.neighbors import NeighborIndex
 
 NEIGHBORS = 16
@@ -20,8 +19,6 @@ PARENTS = 4
 SPACING = 6  # a point and its SPACING nearest neighbors hold one point of the next level or more
 LEAST_GROWTH = 0.1  # of the scale from level to level
 AVERAGED = 8  # neighbors whose mean is the position of a point of the next level
-
-_compiled: Any = njit(nogil=True, cache=True, error_model="numpy")
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ def _priority(distances: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((ratio * 997) % 1)
 
 
-@_compiled
+@compiled
 def _spread_out(neighbors: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Takes the points in this order, each unless one of its neighbors was taken before."""
     taken = np.zeros(len(order), np.bool_)
@@ -119,7 +116,7 @@ def _spread_out(neighbors: NDArray[np.int32], order: NDArray[np.int64]) -> NDArr
     return taken
 
 
-@_compiled
+@compiled
 def _parents(neighbors: NDArray[np.int32], keep: NDArray[np.bool_]) -> NDArray[np.int32]:
     """(n, 4) numbers among the kept points of those that are the point itself or its nearest neighbors."""
     number = np.cumsum(keep).astype(np.int32) - np.int32(1)
@@ -138,7 +135,7 @@ def _parents(neighbors: NDArray[np.int32], keep: NDArray[np.bool_]) -> NDArray[n
     return parents
 
 
-@_compiled
+@compiled
 def _principal(m: NDArray[np.float64], values: NDArray[np.float64], normal: NDArray[np.float64]) -> None:
     """Ascending eigenvalues of a symmetric (3, 3) matrix of trace about 1, and a unit eigenvector of the smallest.
 
@@ -179,7 +176,7 @@ def _principal(m: NDArray[np.float64], values: NDArray[np.float64], normal: NDAr
             normal[0], normal[1], normal[2] = x / length, y / length, z / length
 
 
-@_compiled
+@compiled
 def _moments(
     points: NDArray[np.float64], neighbors: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:

@@ -6,17 +6,13 @@ Arrays are C-contiguous: float32 unless said otherwise, neighbors int32. `FEATUR
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from jetnormal._compiled import compiled
 
 FEATURES = 12  # per edge; the loops below are written out for it
 
-compiled: Any = njit(
-    nogil=True, cache=True, boundscheck=False, error_model="numpy", fastmath={"contract", "reassoc", "nsz"}
-)
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]

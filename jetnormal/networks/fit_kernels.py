@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from jetnormal.networks.edge_kernels import F32, F64, I32, compiled
+from jetnormal._compiled import compiled
+from jetnormal.networks.edge_kernels import F32, F64, I32
 
 
 @compiled
