@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from jetnormal.geometry.patches import build_patches
 from jetnormal.training.datasets import DataSource, LabeledCloud
 
 AHEAD = 4  # batches that wait for the network
+_Made = TypeVar("_Made")
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class PatchSampler:
             return self._batch(clouds, picks[number * self.batch_size : (number + 1) * self.batch_size])
 
         with ThreadPoolExecutor(1) as thread:
-            yield from _ahead(thread, build, range(first, self.batches_per_epoch))
+            yield from made_ahead(thread, build, range(first, self.batches_per_epoch))
 
     def _clouds(self, epoch: int) -> list[tuple[LabeledCloud, NeighborIndex]]:
         clouds = []
@@ -111,7 +113,7 @@ def labeled_patches(cloud: LabeledCloud, index: NeighborIndex, queries: NDArray[
     return Batch(patches.points, normals)
 
 
-def _ahead(thread: ThreadPoolExecutor, build: Callable[[int], Batch], numbers: range) -> Iterator[Batch]:
+def made_ahead(thread: ThreadPoolExecutor, build: Callable[[int], _Made], numbers: range) -> Iterator[_Made]:
     """Yields build(n) for all numbers in order, with AHEAD of them under way."""
     waiting = [thread.submit(build, n) for n in numbers[:AHEAD]]
     try:

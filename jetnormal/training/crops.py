@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.training.batches import made_ahead
 from jetnormal.training.datasets import DataSource, LabeledCloud
 
 WINDOW = 8  # clouds whose crops are shuffled together
@@ -53,16 +54,12 @@ class CropSampler:
 
     def epoch(self, epoch: int, first: int = 0) -> Iterator[list[Crop]]:
         """The batches of an epoch from number `first` on; a thread prepares a window of clouds ahead."""
-        size = WINDOW * self.crops_per_cloud
-        starts = range(0, self.source.clouds_per_epoch, WINDOW)
         skip = first * self.batch_size
+        window, skip = divmod(skip, WINDOW * self.crops_per_cloud)
+        windows = range(window, -(-self.source.clouds_per_epoch // WINDOW))
         batch: list[Crop] = []
         with ThreadPoolExecutor(1) as thread:
-            windows = iter(starts[skip // size :])
-            skip %= size
-            ahead = thread.submit(self._window, epoch, next(windows, None))
-            while (crops := ahead.result()) is not None:
-                ahead = thread.submit(self._window, epoch, next(windows, None))
+            for crops in made_ahead(thread, lambda number: self._window(epoch, number * WINDOW), windows):
                 for crop in crops[skip:]:
                     batch.append(crop)
                     if len(batch) == self.batch_size:
@@ -70,10 +67,8 @@ class CropSampler:
                         batch = []
                 skip = 0
 
-    def _window(self, epoch: int, start: int | None) -> list[Crop] | None:
-        """The shuffled crops of a window of clouds; None past the last."""
-        if start is None:
-            return None
+    def _window(self, epoch: int, start: int) -> list[Crop]:
+        """The shuffled crops of a window of clouds."""
         crops = []
         for index in range(start, min(start + WINDOW, self.source.clouds_per_epoch)):
             cloud = self.source.cloud(epoch, index, self.seed)
