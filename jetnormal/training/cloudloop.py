@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,16 +19,15 @@ from jetnormal.errors import ModelError, UsageError
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.geometry.pyramid import build_pyramid
 from jetnormal.networks.cloudfit import CloudFit, CloudFitConfig, CloudPrediction, Encoding
-from jetnormal.report import logger, progress
+from jetnormal.networks.patchfit import parameter_count
 from jetnormal.training.crops import Crop, CropSampler, draw_crops
 from jetnormal.training.datasets import DataSource
+from jetnormal.training.epochs import HELD_OUT_EPOCH, MAX_GRADIENT, train_epochs
 from jetnormal.training.run import Run
 
-MAX_GRADIENT = 1.0  # norm
 WARM_UP = 0.02  # share of the training in which the rate rises
 FLOOR = 0.05  # radians: what is below is good enough
 SURE = math.radians(10)
-HELD_OUT_EPOCH = 1_000_000  # no training reaches it, so its clouds are new
 
 
 @dataclass(frozen=True)
@@ -82,42 +80,17 @@ def train_cloudfit(
     else:
         run.begin()
     held_out = _held_out(validation or source, options)
-    row = run.last_record()
     workers = options.threads or torch.get_num_threads()
     with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-        while run.position.epoch < options.epochs:
-            terms = _train_epoch(run, sampler, options, pool)
-            row = {"epoch": run.position.epoch, "patches": run.position.patches, "seconds": run.position.seconds}
-            row |= terms | validate(network, held_out, pool)
-            run.record(row)
-            run.save()
-            logger.info("epoch %d of %d: loss %.4f, validation RMSE %.2f degrees", row["epoch"], options.epochs,
-                        row["loss"], row["rmse"])  # fmt: skip
-    parameters = sum(parameter.numel() for parameter in network.parameters())
-    return {"model": str(run.model_path), "parameters": parameters} | row
 
+        def step(batch: list[Crop], share: float) -> dict[str, float]:
+            return _step(run, batch, learning_rate(share, options.learning_rate), pool)
 
-def _train_epoch(
-    run: Run, sampler: CropSampler, options: CloudTrainOptions, pool: ThreadPoolExecutor
-) -> dict[str, float]:
-    position = run.position
-    total = sampler.batches_per_epoch
-    with progress(f"epoch {position.epoch + 1} of {options.epochs}", total - position.batch, unit="steps") as advance:
-        start = time.monotonic()
-        for batch in sampler.epoch(position.epoch, first=position.batch):
-            share = (position.epoch + position.batch / total) / options.epochs
-            terms = _step(run, batch, learning_rate(share, options.learning_rate), pool)
-            for name, value in terms.items():
-                position.totals[name] = position.totals.get(name, 0.0) + value
-            position.batch += 1
-            position.patches += sum(crop.inner for crop in batch)
-            position.seconds += time.monotonic() - start
-            start = time.monotonic()
-            advance(1, f"loss {terms['loss']:.4f}")
-            run.save_if_due()
-    means = {name: value / position.batch for name, value in position.totals.items()}
-    position.epoch, position.batch, position.totals = position.epoch + 1, 0, {}
-    return means
+        row = train_epochs(
+            run, sampler, options.epochs, step, lambda: validate(network, held_out, pool),
+            samples=lambda batch: sum(crop.inner for crop in batch), unit="steps", units=1,
+        )  # fmt: skip
+    return {"model": str(run.model_path), "parameters": parameter_count(network)} | row
 
 
 def learning_rate(share: float, highest: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,15 +16,14 @@ from jetnormal.errors import ModelError, UsageError
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.networks.patchfit import PatchFit, PatchFitConfig, parameter_count
-from jetnormal.report import logger, progress
+from jetnormal.report import logger
 from jetnormal.training.batches import Batch, PatchSampler, labeled_patches
 from jetnormal.training.datasets import DataSource
+from jetnormal.training.epochs import HELD_OUT_EPOCH, MAX_GRADIENT, train_epochs
 from jetnormal.training.losses import LossWeights, total_loss
 from jetnormal.training.run import Run
 
-MAX_GRADIENT = 1.0  # norm; a patch whose fit is nearly singular may ask for far more
 DROPS = (300 / 700, 550 / 700)  # the paper's schedule: a tenth of the rate after these shares of the epochs
-HELD_OUT_EPOCH = 1_000_000  # no training reaches it, so its clouds are new
 VALIDATION_QUERIES = 250  # per cloud
 
 
@@ -107,40 +105,14 @@ def train(
     held_out = _validation_batches(validation or source, config.neighbors, options.seed)
     logger.info("training %s parameters", f"{parameter_count(network):,}")
 
-    row = run.last_record()
-    while run.position.epoch < options.epochs:
-        terms = _train_epoch(run, sampler, options)
-        row = {"epoch": run.position.epoch, "patches": run.position.patches, "seconds": run.position.seconds}
-        row |= terms | validate(network, held_out)
-        run.record(row)
-        run.save()
-        logger.info("epoch %d of %d: loss %.4f, validation RMSE %.2f degrees", row["epoch"], options.epochs,
-                    row["loss"], row["rmse"])  # fmt: skip
+    def step(batch: Batch, share: float) -> dict[str, float]:
+        return _step(run, batch, learning_rate(share, options), options)
+
+    row = train_epochs(
+        run, sampler, options.epochs, step, lambda: validate(network, held_out), samples=lambda _: options.batch_size,
+        unit="patches", units=options.batch_size,
+    )  # fmt: skip
     return {"model": str(run.model_path), "parameters": parameter_count(network)} | row
-
-
-def _train_epoch(run: Run, sampler: PatchSampler, options: TrainOptions) -> dict[str, float]:
-    """One epoch, or what is left of it; the means of its loss terms."""
-    run.network.train()
-    position = run.position
-    total = sampler.batches_per_epoch
-    description = f"epoch {position.epoch + 1} of {options.epochs}"
-    with progress(description, (total - position.batch) * options.batch_size, unit="patches") as advance:
-        start = time.monotonic()
-        for batch in sampler.epoch(position.epoch, first=position.batch):
-            share = (position.epoch + position.batch / total) / options.epochs
-            terms = _step(run, batch, learning_rate(share, options), options)
-            for name, value in terms.items():
-                position.totals[name] = position.totals.get(name, 0.0) + value
-            position.batch += 1
-            position.patches += options.batch_size
-            position.seconds += time.monotonic() - start
-            start = time.monotonic()
-            advance(options.batch_size, f"loss {terms['loss']:.4f}")
-            run.save_if_due()
-    means = {name: value / position.batch for name, value in position.totals.items()}
-    position.epoch, position.batch, position.totals = position.epoch + 1, 0, {}
-    return means
 
 
 def _step(run: Run, batch: Batch, rate: float, options: TrainOptions) -> dict[str, float]:
