@@ -6,6 +6,8 @@ Arrays are C-contiguous: float32 unless said otherwise, neighbors int32. `FEATUR
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -157,6 +159,16 @@ def edge_mlp_backward(
 
 
 @compiled
+def offset(x: F64, xj: F64, inverse: Any) -> tuple[Any, Any, Any]:
+    """From x (3,) to xj (3,), times `inverse`; the difference is taken in float64, for far-away clouds."""
+    return (
+        np.float32(xj[0] - x[0]) * inverse,
+        np.float32(xj[1] - x[1]) * inverse,
+        np.float32(xj[2] - x[2]) * inverse,
+    )
+
+
+@compiled
 def edge_features(
     xi: F64, ni: F32, mi: F32, ti: F32, si: F32, unit: F32,
     xj: F64, nj: F32, mj: F32, tj: F32, sj: F32, nbr: I32, out: F32,
@@ -169,9 +181,7 @@ def edge_features(
         t, scale = ti[i], si[i]
         for k in range(nbr.shape[1]):
             j = np.uint32(nbr[i, k])
-            d0 = np.float32(xj[j, 0] - xi[i, 0]) * inverse
-            d1 = np.float32(xj[j, 1] - xi[i, 1]) * inverse
-            d2 = np.float32(xj[j, 2] - xi[i, 2]) * inverse
+            d0, d1, d2 = offset(xi[i], xj[j], inverse)
             square = d0 * d0 + d1 * d1 + d2 * d2
             a = n0 * d0 + n1 * d1 + n2 * d2
             b = nj[j, 0] * d0 + nj[j, 1] * d1 + nj[j, 2] * d2

@@ -5,10 +5,19 @@ They run in one thread and release the interpreter lock.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from jetnormal._compiled import compiled
-from jetnormal.networks.edge_kernels import F32, F64, I32
+from jetnormal.networks.edge_kernels import F32, F64, I32, offset
+
+
+@compiled
+def _mirrored(n0: Any, n1: Any, n2: Any, d0: Any, d1: Any, d2: Any) -> tuple[Any, Any, Any]:
+    """A normal n mirrored on the plane that bisects the offset d."""
+    turn = 2 * (n0 * d0 + n1 * d1 + n2 * d2) / (d0 * d0 + d1 * d1 + d2 * d2 + np.float32(1e-12))
+    return n0 - turn * d0, n1 - turn * d1, n2 - turn * d2
 
 
 @compiled
@@ -22,12 +31,9 @@ def votes(x: F64, unit: F32, xj: F64, nj: F32, nbr: I32, weight: F32, out: F32) 
         xx = xy = xz = yy = yz = zz = np.float32(0)
         for k in range(nbr.shape[1]):
             j = np.uint32(nbr[i, k])
-            d0 = np.float32(xj[j, 0] - x[i, 0]) * inverse
-            d1 = np.float32(xj[j, 1] - x[i, 1]) * inverse
-            d2 = np.float32(xj[j, 2] - x[i, 2]) * inverse
+            d0, d1, d2 = offset(x[i], xj[j], inverse)
             n0, n1, n2 = nj[j, 0], nj[j, 1], nj[j, 2]
-            turn = 2 * (n0 * d0 + n1 * d1 + n2 * d2) / (d0 * d0 + d1 * d1 + d2 * d2 + np.float32(1e-12))
-            r0, r1, r2 = n0 - turn * d0, n1 - turn * d1, n2 - turn * d2
+            r0, r1, r2 = _mirrored(n0, n1, n2, d0, d1, d2)
             a, b, e = weight[i, k, 0], weight[i, k, 1], weight[i, k, 2]
             total += a
             s0 += a * d0
@@ -68,12 +74,9 @@ def votes_backward(x: F64, unit: F32, xj: F64, nj: F32, nbr: I32, weight: F32, g
         s0, s1, s2 = s0 / total, s1 / total, s2 / total
         for k in range(nbr.shape[1]):
             j = np.uint32(nbr[i, k])
-            d0 = np.float32(xj[j, 0] - x[i, 0]) * inverse
-            d1 = np.float32(xj[j, 1] - x[i, 1]) * inverse
-            d2 = np.float32(xj[j, 2] - x[i, 2]) * inverse
+            d0, d1, d2 = offset(x[i], xj[j], inverse)
             n0, n1, n2 = nj[j, 0], nj[j, 1], nj[j, 2]
-            turn = 2 * (n0 * d0 + n1 * d1 + n2 * d2) / (d0 * d0 + d1 * d1 + d2 * d2 + np.float32(1e-12))
-            r0, r1, r2 = n0 - turn * d0, n1 - turn * d1, n2 - turn * d2
+            r0, r1, r2 = _mirrored(n0, n1, n2, d0, d1, d2)
             d0, d1, d2 = d0 - s0, d1 - s1, d2 - s2
             out[i, k, 0] = g00 * d0 * d0 + g11 * d1 * d1 + g22 * d2 * d2 + g01 * d0 * d1 + g02 * d0 * d2 + g12 * d1 * d2
             out[i, k, 1] = -(
