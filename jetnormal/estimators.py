@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from jetnormal._device import in_order, resolve_device
-from jetnormal.cloud_estimator import FIT_ROWS, CloudEstimator
 from jetnormal.errors import UsageError
 from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import Patches, build_patches
 from jetnormal.networks.checkpoint import load_model, resolve
-from jetnormal.networks.cloudfit import CloudFit
 from jetnormal.networks.patchfit import PatchFit
 from jetnormal.prediction import Estimator, Prediction, joined
 from jetnormal.report import Advance
@@ -205,7 +203,9 @@ def make_estimator(
     if name == "jet":
         return jet_estimator(**_only(chosen, name, "k", "order"), **common)
     network = load_model(name)
-    if isinstance(network, CloudFit):
+    if not isinstance(network, PatchFit):
+        from jetnormal.cloud_estimator import FIT_ROWS, CloudEstimator  # brings numba along
+
         if device not in ("auto", "cpu"):
             raise UsageError(f"{name} runs on the CPU: leave --device out or choose a patch network")
         return CloudEstimator(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
@@ -16,16 +16,16 @@ from torch import Tensor
 from jetnormal._resources import model_directory
 from jetnormal.errors import ModelError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.cloudfit import CloudFit, CloudFitConfig
 from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
+
+if TYPE_CHECKING:
+    from jetnormal.networks.cloudfit import CloudFit
+
+    Network = PatchFit | CloudFit
 
 FORMAT = "jetnormal-1"
 SUFFIX = ".safetensors"
-Network = PatchFit | CloudFit
-ARCHITECTURES: dict[str, tuple[Any, Any]] = {
-    "patchfit": (PatchFit, PatchFitConfig),
-    "cloudfit": (CloudFit, CloudFitConfig),
-}
+ARCHITECTURES = ("patchfit", "cloudfit")
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
@@ -68,7 +68,7 @@ def save_model(path: Path, network: Network, training: dict[str, Any]) -> None:
         InputError: if the file cannot be written.
     """
     metadata = {
-        "architecture": next(name for name, (kind, _) in ARCHITECTURES.items() if isinstance(network, kind)),
+        "architecture": network.architecture,
         "config": dataclasses.asdict(network.config),
         "training": training,
     }
@@ -83,16 +83,25 @@ def load_model(name: str | Path) -> Network:
     """
     path = resolve(name)
     tensors, metadata = load_tensors(path)
-    if metadata.get("architecture") not in ARCHITECTURES:
-        raise ModelError(f"{path}: holds no network (architecture {metadata.get('architecture')!r})")
-    kind, configuration = ARCHITECTURES[metadata["architecture"]]
+    architecture = metadata.get("architecture")
+    if architecture not in ARCHITECTURES:
+        raise ModelError(f"{path}: holds no network (architecture {architecture!r})")
     try:
-        network: Network = kind(configuration(**metadata["config"]))
+        network = _build(architecture, metadata["config"])
         network.load_state_dict(tensors)
     except (TypeError, KeyError, ValueError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise ModelError(f"{path}: its configuration and its weights do not fit ({reason})") from error
     return network.for_inference()
+
+
+def _build(architecture: str, config: dict[str, Any]) -> Network:
+    """A network by its architecture and its configuration."""
+    if architecture == PatchFit.architecture:
+        return PatchFit(PatchFitConfig(**config))
+    from jetnormal.networks.cloudfit import CloudFit, CloudFitConfig  # brings numba along
+
+    return CloudFit(CloudFitConfig(**config))
 
 
 def resolve(name: str | Path) -> Path:

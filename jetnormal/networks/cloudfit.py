@@ -102,6 +102,8 @@ class CloudPrediction:
 class CloudFit(nn.Module):
     """See the module. `encode` looks at a whole cloud, `fit` at some points of it."""
 
+    architecture = "cloudfit"  # in model files
+
     def __init__(self, config: CloudFitConfig) -> None:
         super().__init__()
         self.config = config

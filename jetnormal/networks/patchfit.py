@@ -112,6 +112,8 @@ PREDICTORS: dict[str, type[DeepFit | AdaFit | GraphFit]] = {"deepfit": DeepFit, 
 class PatchFit(nn.Module):
     """A patch network: rotate the patch, weigh its points, fit a jet, correct its normal."""
 
+    architecture = "patchfit"  # in model files
+
     def __init__(self, config: PatchFitConfig) -> None:
         super().__init__()
         self.config = config

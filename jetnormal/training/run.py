@@ -13,15 +13,18 @@ import dataclasses
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.checkpoint import Network, load_tensors, save_model, save_tensors
+from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
 from jetnormal.training.events import EventLog
+
+if TYPE_CHECKING:
+    from jetnormal.networks.checkpoint import Network
 
 SAVE_INTERVAL = 45.0  # seconds: what a killed run loses at most
 
