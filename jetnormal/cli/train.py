@@ -148,6 +148,10 @@ def train(
     bfloat16: Annotated[bool, typer.Option("--bfloat16", help="Multiply matrices in bfloat16: faster.")] = False,
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of data, order and initial weights.")] = 1,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="RUN", help="Folder of the run.")] = Path("run"),
+    initial: Annotated[
+        str,
+        typer.Option(metavar="NAME|FILE", help="Model to start from, as far as its weights fit.", show_default="none"),
+    ] = "",
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
     tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Also write TensorBoard events.")] = False,
     device: Device = "auto",
@@ -168,6 +172,7 @@ def train(
       jetnormal train --data meshes --config small --schedule cosine --epochs 50 -o run
       jetnormal train --data meshes --data pcpnet --synthetic --weights 20,2,8 --validation held_out -o run
       jetnormal train --model cloudfit --data meshes --synthetic -o run
+      jetnormal train --model cloudfit --initial cloudfit --data forest --epochs 5 --learning-rate 5e-4 -o run
       jetnormal train --data pcpnet -o run --resume
     """
     set_verbosity(quiet, verbose)
@@ -226,6 +231,7 @@ def train(
             bfloat16=bfloat16,
             losses=losses,
             data=name,
+            initial=initial,
         )
         with torch_threads(threads):
             summary = train(network, source, out, options, **arguments)

@@ -43,6 +43,7 @@ class CloudTrainOptions:
         seed: of the data, their order and the initial weights.
         threads: crops computed at a time; None for all cores.
         data: name of the data, for the record.
+        initial: name or file of a model whose weights to start from; empty starts from random ones.
     """
 
     epochs: int = 30
@@ -53,6 +54,7 @@ class CloudTrainOptions:
     seed: int = 1
     threads: int | None = None
     data: str = ""
+    initial: str = ""
 
 
 def train_cloudfit(
@@ -78,7 +80,7 @@ def train_cloudfit(
     if resume:
         run.resume()
     else:
-        run.begin()
+        run.begin(options.initial)
     held_out = _held_out(validation or source, options)
     workers = options.threads or torch.get_num_threads()
     with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:

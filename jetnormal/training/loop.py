@@ -42,6 +42,7 @@ class TrainOptions:
         bfloat16: whether matrix products run in bfloat16 (the jet never does).
         losses: factors of the loss terms.
         data: name of the data, for the record.
+        initial: name or file of a model whose weights to start from; empty starts from random ones.
     """
 
     epochs: int = 700
@@ -54,6 +55,7 @@ class TrainOptions:
     bfloat16: bool = False
     losses: LossWeights = dataclasses.field(default_factory=LossWeights)
     data: str = ""
+    initial: str = ""
 
 
 def train(
@@ -87,7 +89,7 @@ def train(
         InputError: if the folder holds another run, or nothing to resume, or a cloud cannot be used.
         UsageError: if the run to resume began with other options, an epoch has less than one batch, or TensorBoard
             is asked for and not installed.
-        ModelError: if the loss or its gradient is no longer a number.
+        ModelError: if the loss or its gradient is no longer a number, or `options.initial` cannot be started from.
     """
     torch.manual_seed(options.seed)
     network = PatchFit(config).to(options.device)
@@ -101,7 +103,7 @@ def train(
     if resume:
         run.resume()
     else:
-        run.begin()
+        run.begin(options.initial)
     held_out = _validation_batches(validation or source, config.neighbors, options.seed)
     logger.info("training %s parameters", f"{parameter_count(network):,}")
 

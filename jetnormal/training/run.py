@@ -20,7 +20,8 @@ from torch import Tensor
 
 from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
+from jetnormal.networks.checkpoint import load_tensors, resolve, save_model, save_tensors
+from jetnormal.report import logger
 from jetnormal.training.events import EventLog
 
 if TYPE_CHECKING:
@@ -91,11 +92,15 @@ class Run:
     def _metrics_path(self) -> Path:
         return self.folder / "metrics.csv"
 
-    def begin(self) -> None:
-        """Prepares the folder for a new run.
+    def begin(self, initial: str = "") -> None:
+        """Prepares the folder for a new run, which may start from another model's weights.
+
+        Args:
+            initial: name or file of that model: what both networks have by the same name and shape is taken over.
 
         Raises:
-            InputError: if it holds a run already or cannot be created.
+            InputError: if the folder holds a run already or cannot be created.
+            ModelError: if there is no such model, or it shares nothing with this network.
         """
         if self._state_path.exists():
             raise InputError(f"{self.folder}: holds a run already; go on with --resume or choose another --out")
@@ -104,6 +109,8 @@ class Run:
         except OSError as error:
             raise InputError(f"{self.folder}: cannot be created ({error.strerror}); choose another --out") from error
         self._metrics_path.unlink(missing_ok=True)
+        if initial:
+            self._take_over(resolve(initial))
 
     def resume(self) -> None:
         """Goes back to the last saved state.
@@ -166,6 +173,16 @@ class Run:
         with self._metrics_path.open(newline="") as stream:
             *_, last = [{}, *csv.DictReader(stream)]
         return {name: int(value) if value.isdigit() else float(value) for name, value in last.items()}
+
+    def _take_over(self, path: Path) -> None:
+        """Copies the weights of a model file that fit into this network."""
+        own = self.network.state_dict()
+        found = load_tensors(path)[0]
+        fitting = {name: value for name, value in found.items() if name in own and own[name].shape == value.shape}
+        if not fitting:
+            raise ModelError(f"{path}: shares no weights with this network; start from a model of its kind")
+        self.network.load_state_dict(own | fitting)
+        logger.info("starting from %s: %d of %d tensors fit", path, len(fitting), len(own))
 
     def _restore_optimizer(self, tensors: dict[str, Tensor]) -> None:
         state: dict[int, dict[str, Tensor]] = {}

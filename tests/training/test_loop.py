@@ -377,3 +377,19 @@ def test_training_in_bfloat16_lowers_the_loss(tmp_path):
     losses = [float(row["loss"]) for row in metrics(tmp_path / "run")]
     assert losses[-1] < 0.8 * losses[0]
     assert load_tensors(tmp_path / "run" / "model.safetensors")[0]["weights.weight.weight"].dtype == torch.float32
+
+
+def test_training_starts_from_the_weights_of_another_model(finished, tmp_path):
+    options = dataclasses.replace(OPTIONS, epochs=1, learning_rate=0.0, initial=str(finished[0] / "model.safetensors"))
+    train(dataclasses.replace(CONFIG, weights="adafit"), Spheres(), tmp_path / "run", options)
+    before, after = (load_model(folder / "model.safetensors") for folder in (finished[0], tmp_path / "run"))
+    torch.testing.assert_close(after.transform.conv1.last.weight, before.transform.conv1.last.weight, rtol=0, atol=0)
+    assert after.weights.head[0].linear.weight.shape == before.weights.head[0].linear.weight.shape
+    assert after.weights.first.linear.weight.shape != before.weights.first.linear.weight.shape
+
+
+def test_model_without_a_fitting_weight_is_refused(tmp_path):
+    save_tensors(tmp_path / "other.safetensors", {"unknown": torch.zeros(3)}, {})
+    options = dataclasses.replace(OPTIONS, initial=str(tmp_path / "other.safetensors"))
+    with pytest.raises(ModelError, match="shares no weights"):
+        train(CONFIG, Spheres(), tmp_path / "run", options)
