@@ -19,6 +19,7 @@ from jetnormal.estimation import MAX_COORDINATE, EstimateOptions, Vector, estima
 from jetnormal.formats.meshes import check_mesh_target, write_mesh
 from jetnormal.formats.ply import PlyExtra
 from jetnormal.mesh import Mesh
+from jetnormal.orientation import check_sign_options
 from jetnormal.report import StageTimer, logger, peak_memory_mb
 
 MIN_POINTS = 10  # fewer suggest no surface
@@ -44,7 +45,7 @@ class ReconstructOptions:
         recompute: whether normals are estimated even if the cloud has some.
         model: what estimates normals, as in `EstimateOptions`.
         orient: how their signs are chosen, as in `EstimateOptions`, but not "none".
-        viewpoint: the sensor's position in the cloud's coordinates.
+        viewpoint, viewpoint_attribute: where the sensor was, as in `EstimateOptions`.
         device: "auto", "cpu", "cuda" or "cuda:N", for the estimate.
         threads: CPU threads; None for all cores. On one, the same cloud gives the same mesh bit for bit; on more,
             the order of its vertices changes.
@@ -58,6 +59,7 @@ class ReconstructOptions:
     model: str = "auto"
     orient: str = "auto"
     viewpoint: Vector | None = None
+    viewpoint_attribute: tuple[str, str, str] | None = None
     device: str = "auto"
     threads: int | None = None
     force: bool = False
@@ -72,6 +74,19 @@ class ReconstructOptions:
             raise UsageError(f"trim is a share, 0 to less than 1, not {self.trim}")
         if self.orient == "none":
             raise UsageError("a surface needs to know outside from inside: leave --orient none out")
+        check_sign_options(self.for_normals)
+
+    @property
+    def for_normals(self) -> EstimateOptions:
+        """How normals are estimated."""
+        return EstimateOptions(
+            model=self.model,
+            orient=self.orient,
+            viewpoint=self.viewpoint,
+            viewpoint_attribute=self.viewpoint_attribute,
+            device=self.device,
+            threads=self.threads,
+        )
 
 
 def reconstruct(points: NDArray[Any] | Cloud, **options: Any) -> Mesh:
@@ -178,17 +193,9 @@ def _reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTi
     return replace(mesh, vertices=mesh.vertices * size + centre), facts
 
 
-def _with_normals(
-    cloud: Cloud, options: ReconstructOptions, timer: StageTimer
-) -> tuple[Cloud, dict[str, Any]]:
+def _with_normals(cloud: Cloud, options: ReconstructOptions, timer: StageTimer) -> tuple[Cloud, dict[str, Any]]:
     """The cloud with its own normals or estimated ones, and normals, orient and warnings of the summary."""
-    asked = EstimateOptions(
-        model=options.model,
-        orient=options.orient,
-        viewpoint=options.viewpoint,
-        device=options.device,
-        threads=options.threads,
-    )
+    asked = options.for_normals
     if cloud.normals is None or options.recompute:
         with timer.stage("model"):
             estimator = prepare_estimator(asked)
@@ -203,7 +210,7 @@ def _with_normals(
         warnings.append(f"{np.sum(~usable)} points without finite coordinates or a normal are left out")
     if (np.abs(length[usable] - 1) > LENGTH_TOLERANCE).any():
         warnings.append("the normals are not of length 1; their directions are used")
-    if (asked.model, asked.orient, asked.viewpoint) != ("auto", "auto", None):
+    if asked != EstimateOptions(device=asked.device, threads=asked.threads):
         warnings.append("the cloud has normals, which are used as they are; --recompute estimates new ones")
     return cloud, {"normals": "file", "orient": None, "warnings": warnings}
 

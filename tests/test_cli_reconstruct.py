@@ -60,6 +60,9 @@ def test_the_library_is_found_and_the_user_s_files_are_not_imported(tmp_path):
         (["few.xyz", "-o", "nowhere/out.ply"], 3, "nowhere"),
         (["line.xyz", "-o", "out.stl"], 3, "line"),
         (["few.xyz", "-o", "out.ply", "--trim", "1"], 2, "trim"),
+        (["few.xyz", "-o", "out.ply", "--orient", "none"], 2, "--orient"),
+        (["few.xyz", "-o", "out.ply", "--viewpoint", "1,2"], 2, "--viewpoint"),
+        (["few.xyz", "-o", "out.ply", "--viewpoint-attribute", "sx,sy,sz"], 3, "'sx'"),
         (["few.xyz", "-o", "out.ply", "--model", "nonesuch"], 4, "nonesuch"),
     ],
 )

@@ -155,7 +155,7 @@ def test_what_suggests_no_surface_is_an_input_error_that_names_the_file(tmp_path
 
 @pytest.mark.parametrize(
     "options", [{"depth": 3}, {"depth": 13}, {"scale": 0.9}, {"scale": np.nan}, {"trim": 1.0}, {"trim": -0.1},
-                {"orient": "none"}]
+                {"orient": "none"}, {"orient": "nonesuch"}, {"orient": "up", "viewpoint": (0, 0, 1)}]
 )  # fmt: skip
 def test_options_out_of_range_are_usage_errors(options):
     with pytest.raises(UsageError):

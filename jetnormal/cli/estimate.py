@@ -7,28 +7,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
+from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, Viewpoint, ViewpointAttribute, set_verbosity
 from jetnormal.errors import UsageError
 from jetnormal.report import logger, print_json
-
-Viewpoint = tuple[float, float, float]
-
-
-def parse_viewpoint(text: str) -> Viewpoint:
-    """Turn "X,Y,Z" into three coordinates."""
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise typer.BadParameter(f"{text!r} is not X,Y,Z: three numbers with commas between them") from None
-    return x, y, z
-
-
-def parse_names(text: str) -> tuple[str, ...]:
-    """Turn "X,Y,Z" into three names."""
-    names = tuple(part.strip() for part in text.split(","))
-    if len(names) != 3 or not all(names):
-        raise typer.BadParameter(f"{text!r} is not X,Y,Z: three names of attributes with commas between them")
-    return names
 
 
 def estimate(
@@ -55,14 +36,8 @@ def estimate(
         Literal["auto", "global", "mst", "viewpoint", "up", "none"],
         typer.Option(help="How the signs are chosen; auto takes the viewpoint if one is known, else global: outward."),
     ] = "auto",
-    viewpoint: Annotated[
-        Any,
-        typer.Option(parser=parse_viewpoint, metavar="X,Y,Z", help="Position that the normals look towards."),
-    ] = None,
-    viewpoint_attribute: Annotated[
-        Any,
-        typer.Option(parser=parse_names, metavar="X,Y,Z", help="Attributes that hold this position for each point."),
-    ] = None,
+    viewpoint: Viewpoint = None,
+    viewpoint_attribute: ViewpointAttribute = None,
     curvature: Annotated[bool, typer.Option("--curvature", help="Also write the curvatures.")] = False,
     confidence: Annotated[
         bool, typer.Option("--confidence", help="Also write each normal's confidence.")

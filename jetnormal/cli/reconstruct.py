@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
 import typer
 
-from jetnormal.cli.estimate import parse_viewpoint, report_mesh
-from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
+from jetnormal.cli.estimate import report_mesh
+from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, Viewpoint, ViewpointAttribute, set_verbosity
 from jetnormal.report import print_json
 
 
@@ -40,12 +40,11 @@ def reconstruct(
         str, typer.Option(metavar="NAME|FILE", help="What estimates normals, as in jetnormal estimate.")
     ] = "auto",
     orient: Annotated[
-        str, typer.Option(metavar="METHOD", help="How their signs are chosen, as in jetnormal estimate.")
+        Literal["auto", "global", "mst", "viewpoint", "up"],
+        typer.Option(help="How their signs are chosen, as in jetnormal estimate."),
     ] = "auto",
-    viewpoint: Annotated[
-        Any,
-        typer.Option(parser=parse_viewpoint, metavar="X,Y,Z", help="Position that the normals look towards."),
-    ] = None,
+    viewpoint: Viewpoint = None,
+    viewpoint_attribute: ViewpointAttribute = None,
     device: Device = "auto",
     threads: Threads = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite MESH where it exists.")] = False,
@@ -81,6 +80,7 @@ def reconstruct(
         model=model,
         orient=orient,
         viewpoint=viewpoint,
+        viewpoint_attribute=viewpoint_attribute,
         device=device,
         threads=threads,
         force=force,
