@@ -61,7 +61,7 @@ class GraphLayer(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """(B, n, C) to (B, n, C)."""
         far, near = self.counts
-        neighbors = nearest(features, features, far, ascending=True)
+        neighbors = nearest(features, features, far)
         around = self.far.last.peak(self.far(features, neighbors))
         edges = self.near.last(self.near(features, neighbors[:, :, :near]))
         return self.gate(features, self.join.split_peak(around, edges))

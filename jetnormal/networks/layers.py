@@ -8,6 +8,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from jetnormal.networks.selection import every_nth, farthest_points, smallest
+
 
 class PointLayer(nn.Module):
     """A linear map of each point's features, batch normalisation, activation: (..., C_in) to (..., C_out).
@@ -31,10 +33,9 @@ class PointLayer(nn.Module):
 
     def peak(self, features: Tensor) -> Tensor:
         """The maximum of the layer's outputs over the points, (..., k, C_in) to (..., C_out)."""
-        products = self.linear(features)
-        if self._folded:  # one activation a patch instead of one a point
-            return self.activation(maximum(products, -2))
-        return maximum(self.finish(products), -2)
+        if self._folded:  # one addition and one activation a patch instead of one a point
+            return self.activation(linear_peak(self.linear, features))
+        return maximum(self.forward(features), -2)
 
     def split(self, shared: Tensor, features: Tensor) -> Tensor:
         """The layer on `cat([shared, features])` without building it.
@@ -80,6 +81,11 @@ def maximum(features: Tensor, axis: int) -> Tensor:
     return features.max(axis).values if features.requires_grad else features.amax(axis)
 
 
+def linear_peak(linear: nn.Linear, features: Tensor) -> Tensor:
+    """The maximum of a linear map with a bias over the points, (..., k, C_in) to (..., C_out); the bias comes last."""
+    return maximum(nn.functional.linear(features, linear.weight), -2) + linear.bias
+
+
 def full_precision(tensor: Tensor) -> torch.autocast:
     """Switches automatic mixed precision off for what must not run in half precision: `with full_precision(x): ...`"""
     return torch.autocast(tensor.device.type, enabled=False)
@@ -98,17 +104,16 @@ def gather(features: Tensor, indices: Tensor) -> Tensor:
     return features.reshape(-1, channels).index_select(0, rows.flatten()).view(*indices.shape, channels)
 
 
-def nearest(points: Tensor, queries: Tensor, k: int, ascending: bool = False) -> Tensor:
-    """Indices, (B, m, k), of the k nearest of (B, n, C) `points` to each of (B, m, C) `queries`.
+def nearest(points: Tensor, queries: Tensor, k: int) -> Tensor:
+    """Indices, (B, m, k), of the k nearest of (B, n, C) `points` to each of (B, m, C) `queries`, ascending.
 
-    Distances in any number of channels, the query itself included where it is among the points; in no order
-    unless it shall be ascending.
+    Distances in any number of channels, the query itself included where it is among the points.
     """
     with torch.no_grad(), full_precision(points):
         points, queries = points.float(), queries.float()
         # |p - q|^2 up to |q|^2, which does not change the order
-        score = torch.baddbmm(points.square().sum(2)[:, None], queries, points.transpose(1, 2), alpha=-2)
-        return score.topk(min(k, points.shape[1]), dim=2, largest=False, sorted=ascending).indices
+        scores = torch.baddbmm(points.square().sum(2)[:, None], queries, points.transpose(1, 2), alpha=-2)
+        return smallest(scores, min(k, points.shape[1]))
 
 
 class EdgeConv(nn.Module):
@@ -134,7 +139,7 @@ class EdgeConv(nn.Module):
         centre = nn.functional.linear(features, on_offset + on_centre, self.first.linear.bias)
         neighbor = nn.functional.linear(features, on_offset)
         edges = self.first.finish(centre[:, :, None] - gather(neighbor, neighbors))
-        return maximum(self.last(self.second(edges)), 2)
+        return linear_peak(self.last, self.second(edges))
 
 
 class AdaptivePooling(nn.Module):
@@ -168,22 +173,3 @@ def _bottleneck(inputs: int, outputs: int) -> nn.Sequential:
     """Two maps through a quarter of the outputs."""
     narrow = outputs // 4
     return nn.Sequential(PointLayer(inputs, narrow, nn.LeakyReLU(0.2, inplace=True)), nn.Linear(narrow, outputs))
-
-
-def farthest_points(points: Tensor, count: int) -> Tensor:
-    """Farthest point sampling that starts at index 0: (B, count) indices of (B, n, 3) points, index 0 first."""
-    with torch.no_grad(), full_precision(points):
-        planes = points.float().transpose(1, 2).contiguous()  # (B, 3, n): a sum over rows is several times faster
-        kept = [torch.zeros(len(points), dtype=torch.int64, device=points.device)]
-        distance = torch.full_like(planes[:, 0], torch.inf)
-        while len(kept) < count:
-            newest = planes.gather(2, kept[-1][:, None, None].expand(-1, 3, 1))
-            distance = torch.minimum(distance, (planes - newest).square_().sum(1))
-            kept.append(distance.argmax(1))
-        return torch.stack(kept, 1)
-
-
-def every_nth(points: Tensor, count: int) -> Tensor:
-    """(B, count) indices of (B, n, 3) points at equal steps from index 0 on."""
-    steps = torch.arange(count, device=points.device) * points.shape[1] // count
-    return steps.expand(points.shape[0], count)

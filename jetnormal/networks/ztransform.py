@@ -55,7 +55,7 @@ class QSTN(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """(B, k, 3) patches to (B, 3, 3) rotations."""
-        return rotation_matrix(self.quaternion(maximum(self.features(points), 1)))
+        return rotation_matrix(self.quaternion(summary(self.features, points)))
 
 
 class FeatureTransform(nn.Module):
@@ -70,8 +70,15 @@ class FeatureTransform(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, k, C) features to (B, C, C) matrices."""
-        matrix = self.head(maximum(self.features(features), 1)).view(-1, self.channels, self.channels)
+        matrix = self.head(summary(self.features, features)).view(-1, self.channels, self.channels)
         return matrix + torch.eye(self.channels, device=features.device)
+
+
+def summary(layers: nn.Sequential, features: Tensor) -> Tensor:
+    """The maximum over the points of what a chain of point layers gives, (B, k, C_in) to (B, C_out)."""
+    last = layers[-1]
+    assert isinstance(last, PointLayer)
+    return last.peak(layers[:-1](features))
 
 
 def scaled(channels: int, width: float) -> int:
