@@ -38,6 +38,14 @@ def resolve_device(text: str) -> str:
     return text
 
 
+def multiplies_bfloat16(device: str) -> bool:
+    """Whether a device is a CPU that multiplies bfloat16 matrices faster than float32 ones."""
+    import torch
+
+    capabilities: dict[str, object] = getattr(torch.cpu, "get_capabilities", dict)()  # newer versions have it
+    return device == "cpu" and any(capabilities.get(name) for name in ("avx512_bf16", "amx_bf16"))
+
+
 @contextmanager
 def torch_threads(threads: int | None) -> Iterator[None]:
     """Runs PyTorch on a number of CPU threads inside the block; None leaves it alone."""

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from jetnormal import load_model
+from jetnormal import estimators, load_model
 from jetnormal.estimation import DEFAULT_MODEL
 from jetnormal.estimators import make_estimator
 from jetnormal.geometry.metrics import angles, rmse
@@ -47,6 +47,14 @@ def test_cloudfit_is_packaged_and_the_default():
 def test_networks_beat_a_plane_and_a_jet(model, noise, share):
     classical = min(error("pca:k=112", noise), error("jet:k=122,order=2", noise))
     assert error(model, noise) < share * classical
+
+
+def test_bfloat16_products_leave_the_accuracy_alone(monkeypatch):
+    errors = []
+    for bfloat16 in (False, True):
+        monkeypatch.setattr(estimators, "multiplies_bfloat16", lambda _, known=bfloat16: known)
+        errors.append(error("deepfit", 1.25e-3))
+    assert errors[0] != errors[1] and abs(errors[0] - errors[1]) < 0.05
 
 
 @pytest.mark.parametrize("model", ["cloudfit", "deepfit"])
