@@ -18,8 +18,8 @@ STAMP := .venv/.installed
 demo: $(STAMP)
 	@mkdir -p demo
 	$(BIN)/jetnormal estimate samples/milk.pcd -o demo/milk_normals.ply --force
-	@$(BIN)/python samples/picture.py demo/milk_normals.ply demo/milk_normals.png \
-		--up=-0.05,-0.85,-0.46 --front=0.05,0.05,-1
+	$(BIN)/jetnormal preview demo/milk_normals.ply -o demo/milk_normals.png --force \
+		--up=-0.05,-0.85,-0.46 --views=-15:20 --colors file,normals,plain --size 620 --background dark
 	@echo "The cloud with normals: demo/milk_normals.ply    A picture of it: demo/milk_normals.png"
 
 test: $(STAMP)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,38 +33,40 @@ class PreviewOptions:
     Attributes:
         views: names in `rendering.camera.VIEWS`, AZIMUTH:ELEVATION in degrees, or "auto": from the side that was
             scanned if it is one, else "iso". A picture has them side by side.
+        up: direction (3,) in the file's coordinates that views take as up.
         size: pixels of the longer side of each view.
         colors: "normals", "file" (its own), "plain", or "auto": a cloud by its normals, a mesh by its own colors, as
-            far as there are any.
+            far as there are any. A picture has all views in each of them, a page has the first.
         background: "white" or "dark".
         force: whether existing files are overwritten.
     """
 
     views: tuple[str, ...] = ("auto",)
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     size: int = 1000
-    colors: str = "auto"
+    colors: tuple[str, ...] = ("auto",)
     background: str = "white"
     force: bool = False
 
     def __post_init__(self) -> None:
         from jetnormal.rendering.camera import view_direction
 
-        if not self.views:
-            raise UsageError("there must be a view")
+        if not self.views or not self.colors:
+            raise UsageError("there must be a view and a coloring")
+        if not (np.isfinite(self.up).all() and np.any(self.up)):
+            raise UsageError("--up takes three finite numbers, not all of them zero")
         for view in self.views:
             view_direction(view, np.zeros((1, 3)))
         if not SIZES[0] <= self.size <= SIZES[1]:
             raise UsageError(f"the size is {SIZES[0]} to {SIZES[1]} pixels, not {self.size}")
-        for name, value, known in (
-            ("colors", self.colors, COLORINGS), ("background", self.background, BACKGROUNDS)
-        ):  # fmt: skip
-            if value not in known:
-                raise UsageError(f"{name} {value!r}: choose from {', '.join(known)}")
+        for coloring in self.colors:
+            if coloring not in COLORINGS:
+                raise UsageError(f"colors {coloring!r}: choose from {', '.join(COLORINGS)}")
+        if self.background not in BACKGROUNDS:
+            raise UsageError(f"background {self.background!r}: choose from {', '.join(BACKGROUNDS)}")
 
 
-def preview_file(
-    source: Path, picture: Path | None, page: Path | None, options: PreviewOptions
-) -> dict[str, Any]:
+def preview_file(source: Path, picture: Path | None, page: Path | None, options: PreviewOptions) -> dict[str, Any]:
     """Draws a cloud or a mesh.
 
     Args:
@@ -91,21 +94,20 @@ def preview_file(
     with timer.stage("read"):
         subject = _read(source)
     try:
-        colors = options.colors
-        scene = mesh_scene(subject, colors) if isinstance(subject, Mesh) else cloud_scene(subject, colors)
+        scenes = [_scene(subject, colors).turned_up(np.array(options.up)) for colors in options.colors]
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     if picture is not None:
         from jetnormal.rendering.png import encode_png
 
         with timer.stage("picture"):
-            content = encode_png(draw(scene, options))
+            content = encode_png(draw(scenes, options))
         _write(picture, content, options.force)
     if page is not None:
         from jetnormal.rendering.page import encode_page
 
         with timer.stage("page"):
-            content = encode_page(scene, source.name, options.views[0], options.background)
+            content = encode_page(scenes[0], source.name, options.views[0], options.background)
         _write(page, content, options.force)
     return {
         "input": str(source),
@@ -117,14 +119,14 @@ def preview_file(
     }
 
 
-def draw(scene: Scene, options: PreviewOptions) -> NDArray[np.uint8]:
-    """All views of a scene side by side, (H, W, 3)."""
+def draw(scenes: list[Scene], options: PreviewOptions) -> NDArray[np.uint8]:
+    """All views of all scenes side by side, (H, W, 3)."""
     from jetnormal.rendering.camera import make_camera, view_direction
     from jetnormal.rendering.light import develop
     from jetnormal.rendering.surfels import see
 
     images = []
-    for view in options.views:
+    for scene, view in itertools.product(scenes, options.views):
         camera = make_camera(scene.points, view_direction(view, scene.normals), options.size * SUPERSAMPLING)
         images.append(develop(see(scene, camera), camera, scene.radius, SUPERSAMPLING, options.background))
     height = max(len(image) for image in images)
@@ -137,6 +139,10 @@ def draw(scene: Scene, options: PreviewOptions) -> NDArray[np.uint8]:
         tile[top : top + len(image)] = image
         tiles += [tile, np.broadcast_to(background, (height, round(GAP * options.size), 3))]
     return np.concatenate(tiles[:-1], axis=1)
+
+
+def _scene(subject: Cloud | Mesh, coloring: str) -> Scene:
+    return mesh_scene(subject, coloring) if isinstance(subject, Mesh) else cloud_scene(subject, coloring)
 
 
 def _read(path: Path) -> Cloud | Mesh:

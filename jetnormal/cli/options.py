@@ -10,8 +10,8 @@ from jetnormal.errors import UsageError
 from jetnormal.report import configure_logging
 
 
-def _parse_viewpoint(text: str) -> tuple[float, float, float]:
-    """Turn "X,Y,Z" into three coordinates."""
+def parse_vector(text: str) -> tuple[float, float, float]:
+    """Turn "X,Y,Z" into three numbers."""
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
@@ -28,7 +28,7 @@ def _parse_names(text: str) -> tuple[str, ...]:
 
 
 Viewpoint = Annotated[
-    Any, typer.Option(parser=_parse_viewpoint, metavar="X,Y,Z", help="Position that the normals look towards.")
+    Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Position that the normals look towards.")
 ]
 ViewpointAttribute = Annotated[
     Any, typer.Option(parser=_parse_names, metavar="X,Y,Z", help="Attributes that hold this position for each point.")

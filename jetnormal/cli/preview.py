@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.cli.options import Json, Quiet, Verbose, parse_vector, set_verbosity
 from jetnormal.report import logger, print_json
 
 
@@ -30,12 +30,18 @@ def preview(
             show_default="auto: the side that was scanned, else iso",
         ),
     ] = "auto",
+    up: Annotated[
+        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Direction that is up in the views.")
+    ] = "0,0,1",
     size: Annotated[
         int, typer.Option(min=16, max=8192, metavar="N", help="Pixels of the longer side of a view.")
     ] = 1000,
     colors: Annotated[
-        Literal["auto", "normals", "file", "plain"],
-        typer.Option(help="auto: a cloud by its normals, a mesh by its own, as far as there are any."),
+        str,
+        typer.Option(
+            metavar="C,C,...",
+            help="Side by side: normals, file (its own), plain, or auto: a cloud by its normals, a mesh by its own.",
+        ),
     ] = "auto",
     background: Annotated[Literal["white", "dark"], typer.Option(help="Of the picture and the page.")] = "white",
     force: Annotated[bool, typer.Option("--force", help="Overwrite PICTURE and PAGE where they exist.")] = False,
@@ -52,6 +58,7 @@ def preview(
     Examples:
       jetnormal preview scan_normals.ply -o scan.png
       jetnormal preview mesh.glb -o mesh.png --views iso,back --size 800 --background dark
+      jetnormal preview statue.ply -o statue.png --up 0,1,0 --colors file,normals
       jetnormal preview mesh.ply --html mesh.html
     """
     set_verbosity(quiet, verbose)
@@ -59,8 +66,9 @@ def preview(
 
     options = PreviewOptions(
         views=tuple(view.strip() for view in views.split(",")),
+        up=up,
         size=size,
-        colors=colors,
+        colors=tuple(coloring.strip() for coloring in colors.split(",")),
         background=background,
         force=force,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,16 @@ class Scene:
     normals: Floats
     colors: Floats
     faces: NDArray[np.int64] | None = None
+
+    def turned_up(self, up: Floats) -> Scene:
+        """The scene, turned by the smallest rotation that brings direction `up` (3,) to z; colors stay."""
+        from scipy.spatial.transform import Rotation
+
+        axis = np.cross(up, [0.0, 0.0, 1.0])
+        length = float(np.linalg.norm(axis))
+        axis = axis / length if length else np.array([1.0, 0.0, 0.0])
+        turn = Rotation.from_rotvec(np.arctan2(length, up[2]) * axis)
+        return replace(self, points=turn.apply(self.points), normals=turn.apply(self.normals))
 
     @property
     def radius(self) -> float:
