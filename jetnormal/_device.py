@@ -60,6 +60,13 @@ def torch_threads(threads: int | None) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+def worker_pool(threads: int | None) -> ThreadPoolExecutor:
+    """As many threads, or PyTorch's number for None, in each of which PyTorch itself runs on one."""
+    import torch
+
+    return ThreadPoolExecutor(threads or torch.get_num_threads(), initializer=torch.set_num_threads, initargs=(1,))
+
+
 def in_order(pool: ThreadPoolExecutor, function: Callable[[_In], _Out], arguments: Iterable[_In]) -> Iterator[_Out]:
     """As the pool's own map, but an interrupt drops what has not begun."""
     futures = [pool.submit(function, argument) for argument in arguments]

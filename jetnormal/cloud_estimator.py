@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from jetnormal._device import in_order, torch_threads
+from jetnormal._device import in_order, torch_threads, worker_pool
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import COLLINEAR
 from jetnormal.geometry.pyramid import NEIGHBORS, Level, build_pyramid
@@ -86,8 +85,7 @@ class CloudEstimator:
         sound = _spans_plane(pyramid, encoding.parents)
         parts = []
         chunks = queries.split(self.batch_size)
-        workers = self.threads or torch.get_num_threads()
-        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        with worker_pool(self.threads) as pool:
             for part in in_order(pool, lambda chunk: self._fit(encoding, sound[chunk], chunk), chunks):
                 parts.append(part)
                 if advance:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from jetnormal._device import in_order, multiplies_bfloat16, resolve_device
+from jetnormal._device import in_order, multiplies_bfloat16, resolve_device, worker_pool
 from jetnormal.errors import UsageError
 from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
 from jetnormal.geometry.neighbors import NeighborIndex
@@ -73,8 +72,7 @@ class PatchEstimator:
         index = NeighborIndex(points, threads=self.threads)
         parts = []
         # Batches are independent and small enough for the cache: a thread each beats all threads on one.
-        workers = self.threads or torch.get_num_threads()
-        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        with worker_pool(self.threads) as pool:
             for chunk in _split(queries, max(self.batch_size, CHUNK_POINTS // k)):
                 found, _ = index.query(points[chunk], k)
                 found[:, 0] = chunk  # of coincident points, another may come first

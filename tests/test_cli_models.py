@@ -30,14 +30,14 @@ def run(monkeypatch, *arguments) -> int:
 
 
 def test_packaged_models_are_listed(monkeypatch, capsys):
-    assert run(monkeypatch) == 0
+    assert run(monkeypatch, "--no-measure") == 0
     shown = capsys.readouterr().out
     assert all(f"{name}: " in shown for name in packaged_names())
     assert "ms/point" not in shown
 
 
 def test_a_model_file_tells_what_it_costs(trained, monkeypatch, capsys):
-    assert run(monkeypatch, trained, "--measure", "--device", "cpu", "--threads", "1", "--json") == 0
+    assert run(monkeypatch, trained, "--device", "cpu", "--threads", "1", "--json") == 0
     (found,) = json.loads(capsys.readouterr().out)["models"]
     assert found["name"] == str(trained)
     assert found["architecture"] == "GraphFit + z-transform + correction, 32 neighbors, order 3, 0.125 of the channels"
@@ -45,7 +45,7 @@ def test_a_model_file_tells_what_it_costs(trained, monkeypatch, capsys):
     assert found["megabytes"] == trained.stat().st_size / 1e6
     assert found["rmse"] == 12.5
     assert 0 < found["ms_per_point"] < 1000
-    assert run(monkeypatch, trained) == 0
+    assert run(monkeypatch, trained, "--no-measure") == 0
     assert "12.50" in capsys.readouterr().out
 
 
@@ -53,13 +53,13 @@ def test_files_without_an_error_have_none(trained, monkeypatch, capsys):
     tensors, description = load_tensors(trained)
     del description["training"]
     save_tensors(trained, tensors, description)
-    assert run(monkeypatch, trained, "--json") == 0
+    assert run(monkeypatch, trained, "--no-measure", "--json") == 0
     (found,) = json.loads(capsys.readouterr().out)["models"]
     assert found["rmse"] is None and found["ms_per_point"] is None
 
 
 def test_the_papers_networks_are_listed(monkeypatch, capsys):
-    assert run(monkeypatch, "--complexity", "--json") == 0
+    assert run(monkeypatch, "--complexity", "--no-measure", "--json") == 0
     found = json.loads(capsys.readouterr().out)["models"]
     assert [one["parameters"] for one in found] == [
         3_530_245, 4_174_024, 4_259_336, 3_734_468, 4_378_247, 4_463_559,
@@ -69,7 +69,7 @@ def test_the_papers_networks_are_listed(monkeypatch, capsys):
     operations = [one["gflop_per_point"] for one in found]
     assert operations[2] > 3 * operations[1] > 3 * operations[0]
     assert operations[5] > 3 * operations[3]
-    assert run(monkeypatch, "--complexity") == 0
+    assert run(monkeypatch, "--complexity", "--no-measure") == 0
     assert "GraphFit + z-transform + correction, 500 neighbors, order 3" in capsys.readouterr().out
 
 

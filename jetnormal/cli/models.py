@@ -25,7 +25,9 @@ def models(
     complexity: Annotated[
         bool, typer.Option("--complexity", help="List the paper's six networks instead, with random weights.")
     ] = False,
-    measure: Annotated[bool, typer.Option("--measure", help="Measure the time that a point takes, too.")] = False,
+    measure: Annotated[
+        bool, typer.Option("--measure/--no-measure", help="Measure the time that a point takes.")
+    ] = True,
     device: Device = "auto",
     threads: Threads = None,
     json: Json = False,
@@ -40,8 +42,8 @@ def models(
     \b
     Examples:
       jetnormal models
-      jetnormal models run/model.safetensors --measure
-      jetnormal models --complexity --measure --json
+      jetnormal models run/model.safetensors --no-measure
+      jetnormal models --complexity --json
     """
     set_verbosity(quiet, verbose)
     if complexity and model:

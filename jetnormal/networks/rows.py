@@ -10,12 +10,14 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from jetnormal._device import worker_pool
+
 CHUNK = 4096  # rows
 
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count(), initializer=torch.set_num_threads, initargs=(1,))
+    return worker_pool(os.cpu_count())
 
 
 def for_rows(work: Callable[[slice], object], count: int) -> None:

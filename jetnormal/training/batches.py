@@ -37,6 +37,8 @@ class Batch:
 class PatchSampler:
     """Draws the batches of an epoch: `patches_per_cloud` patches of each cloud of the source, shuffled together.
 
+    Any point may be a query, as in the published training: the .pidx files of PCPNet are for evaluation.
+
     Args:
         source: of the clouds.
         neighbors: points in a patch.
@@ -83,9 +85,7 @@ class PatchSampler:
         rng = np.random.default_rng([self.seed, epoch, 1])
         pairs = []
         for number, (cloud, _) in enumerate(clouds):
-            candidates = np.arange(len(cloud.points)) if cloud.queries is None else cloud.queries
-            replace = len(candidates) < self.patches_per_cloud
-            drawn = rng.choice(candidates, self.patches_per_cloud, replace=replace)
+            drawn = rng.choice(len(cloud.points), self.patches_per_cloud, len(cloud.points) < self.patches_per_cloud)
             pairs.append(np.stack([np.full_like(drawn, number), drawn], axis=1))
         return rng.permutation(np.concatenate(pairs))
 

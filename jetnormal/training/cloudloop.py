@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from jetnormal._device import worker_pool
 from jetnormal.errors import ModelError, UsageError
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.geometry.pyramid import build_pyramid
@@ -82,8 +83,7 @@ def train_cloudfit(
     else:
         run.begin(options.initial)
     held_out = _held_out(validation or source, options)
-    workers = options.threads or torch.get_num_threads()
-    with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with worker_pool(options.threads) as pool:
 
         def step(batch: list[Crop], share: float) -> dict[str, float]:
             return _step(run, batch, learning_rate(share, options.learning_rate), pool)

@@ -36,7 +36,7 @@ class LabeledCloud:
         name: Where the cloud comes from, for messages.
         points: (N, 3) float64.
         normals: (N, 3) float64, outward unit normals of the clean surface.
-        queries: (Q,) int64 indices of the points to learn from or to evaluate; None means all.
+        queries: (Q,) int64 indices of the points to evaluate; None means all.
     """
 
     name: str
