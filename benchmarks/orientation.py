@@ -1,6 +1,6 @@
 """Signs of normals on a benchmark in PCPNet's layout: jetnormal's methods beside plain spanning trees and Open3D's.
 
-    python benchmarks/orientation.py FOLDER [--list LIST] [--model deepfit --model jet:k=60 --model true ...]
+    python benchmarks/orientation.py FOLDER [--list LIST] [--model deepfit-small --model jet:k=60 --model true ...]
 
 All points of all clouds count. For each model ("true": the true normals, with random signs) and method, a table by
 category: the share of outward normals as they come; the share after turning the whole cloud if that is better; the

@@ -1,6 +1,6 @@
 """Meshes from estimated normals beside meshes from the true ones: Chamfer distance and normal consistency.
 
-    python benchmarks/reconstruction.py --data validation --meshes meshes [--model jet --model deepfit]
+    python benchmarks/reconstruction.py --data validation --meshes meshes [--model jet --model deepfit-small]
         [--category none --category low] [--points 100000] [--results reconstruction.jsonl]
 
 For every cloud in PCPNet's layout, Poisson surfaces with the options of `jetnormal reconstruct` come from

@@ -1,6 +1,6 @@
 """Points per second and peak memory of every estimator, beside Open3D's, on one cloud in one run.
 
-    python benchmarks/speed.py [--points 100000] [--repeats 3] [--model deepfit --model pca:k=30 ...]
+    python benchmarks/speed.py [--points 100000] [--repeats 3] [--model deepfit-small --model pca:k=30 ...]
     python benchmarks/speed.py --stages cloudfit
 
 The cloud is a procedural solid with a little noise (0.25 % of its diagonal), from seed 1; nothing is downloaded.
@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 OPEN3D = "open3d:k=30"
-DEFAULT_MODELS = ["pca:k=30", "jet:k=30,order=2", "jet:k=60,order=2", "cloudfit", "deepfit"]
+DEFAULT_MODELS = ["pca:k=30", "jet:k=30,order=2", "jet:k=60,order=2", "cloudfit", "deepfit-small"]
 
 
 def cloud(count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -182,7 +182,7 @@ def make_estimator(
 
     Args:
         model: "pca", "jet", a packaged network or a model file; settings may follow a colon, as in
-            "jet:k=122,order=2" or "deepfit:iterations=2".
+            "jet:k=122,order=2" or "deepfit-small:iterations=2".
         k: neighbors in a patch.
         order: of the jet; only for "jet".
         iterations: of a network; see `PatchFit.forward`.

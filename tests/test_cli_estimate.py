@@ -49,7 +49,7 @@ def test_a_real_scan_gets_normals_and_keeps_its_colors(tmp_path):
         (["milk.pcd", "-o", "out.ply", "--k", "2"], 2, "k must be at least 3"),
         (["milk.pcd", "-o", "out.ply", "--encoding", "morse"], 2, "morse"),
         (["milk.pcd", "-o", "out.ply", "--model", "cloudfit", "--device", "cuda:99"], 2, "runs on the CPU"),
-        (["milk.pcd", "-o", "out.ply", "--model", "deepfit", "--device", "cuda:99"], 5, "cuda:99"),
+        (["milk.pcd", "-o", "out.ply", "--model", "deepfit-small", "--device", "cuda:99"], 5, "cuda:99"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(tmp_path, arguments, code, words):

@@ -86,7 +86,7 @@ def test_operations_are_those_of_the_matrix_products():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code"), [(["--complexity", "deepfit"], 2), (["absent"], 4), (["deepfit", "--device", "tpu"], 2)]
+    ("arguments", "code"), [(["--complexity", "x"], 2), (["absent"], 4), (["deepfit-small", "--device", "tpu"], 2)]
 )
 def test_failures_have_their_exit_codes(arguments, code, monkeypatch, capsys):
     assert run(monkeypatch, *arguments) == code

@@ -175,7 +175,7 @@ def test_options_reach_the_training(handed_over, pcpnet, meshes, monkeypatch):
     arguments += f" --list validationset_whitenoise.txt --validation {pcpnet} --config small --neighbors 64 --order 2"
     arguments += " --transform qstn --no-correction --width 0.75 --transform-width 0.5 --epochs 9 --batch-size 8"
     arguments += " --model adafit --no-offsets --lambda-z 1 --lambda-consistency 2 --lambda-sparsity 3"
-    arguments += " --lambda-regularisation 4 --lambda-offsets 5 --initial deepfit"
+    arguments += " --lambda-regularisation 4 --lambda-offsets 5 --initial deepfit-small"
     arguments += " --patches-per-cloud 5 --learning-rate 2e-4 --schedule cosine --bfloat16 --seed 3 --resume -o run"
     assert run(monkeypatch, *arguments.split(), "--device", "cpu", "--tensorboard") == 0
     ((config, source, _, options, others),) = handed_over
@@ -198,7 +198,7 @@ def test_options_reach_the_training(handed_over, pcpnet, meshes, monkeypatch):
         "losses": LossWeights(z_direction=1, consistency=2, sparsity=3, regularisation=4, offsets=5),
         "seed": 3,
         "data": f"{meshes.name} {pcpnet.name} synthetic",
-        "initial": "deepfit",
+        "initial": "deepfit-small",
     }
     assert isinstance(source, Mixture)
     assert source.clouds_per_epoch == 7 + 1 + 7

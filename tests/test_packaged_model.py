@@ -32,8 +32,8 @@ def error(model: str, noise: float) -> float:
 
 
 def test_deepfit_is_packaged_and_small():
-    assert "deepfit" in packaged_names()
-    assert sum(p.numel() for p in load_model("deepfit").parameters()) < 1_000_000
+    assert "deepfit-small" in packaged_names()
+    assert sum(p.numel() for p in load_model("deepfit-small").parameters()) < 1_000_000
 
 
 def test_cloudfit_is_packaged_and_the_default():
@@ -42,7 +42,7 @@ def test_cloudfit_is_packaged_and_the_default():
     assert DEFAULT_MODEL == "cloudfit"
 
 
-@pytest.mark.parametrize("model", ["cloudfit", "deepfit"])
+@pytest.mark.parametrize("model", ["cloudfit", "deepfit-small"])
 @pytest.mark.parametrize(("noise", "share"), [(0.0, 0.75), (1.25e-3, 0.85), (6e-3, 1.0)])
 def test_networks_beat_a_plane_and_a_jet(model, noise, share):
     classical = min(error("pca:k=112", noise), error("jet:k=122,order=2", noise))
@@ -53,11 +53,11 @@ def test_bfloat16_products_leave_the_accuracy_alone(monkeypatch):
     errors = []
     for bfloat16 in (False, True):
         monkeypatch.setattr(estimators, "multiplies_bfloat16", lambda _, known=bfloat16: known)
-        errors.append(error("deepfit", 1.25e-3))
+        errors.append(error("deepfit-small", 1.25e-3))
     assert errors[0] != errors[1] and abs(errors[0] - errors[1]) < 0.05
 
 
-@pytest.mark.parametrize("model", ["cloudfit", "deepfit"])
+@pytest.mark.parametrize("model", ["cloudfit", "deepfit-small"])
 def test_confidence_tells_good_normals_from_bad(model):
     rng = np.random.default_rng(SEEDS[0])
     points, normals = random_solid(rng).sample(30_000, rng)

@@ -19,7 +19,7 @@ def estimate(
     ],
     model: Annotated[
         str,
-        typer.Option(metavar="NAME|FILE", help="Packaged network (cloudfit, deepfit), pca, jet, or a checkpoint file."),
+        typer.Option(metavar="NAME|FILE", help="A packaged network (jetnormal models), pca, jet, or a model file."),
     ] = "auto",
     k: Annotated[
         int | None,

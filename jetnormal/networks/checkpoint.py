@@ -105,7 +105,7 @@ def _build(architecture: str, config: dict[str, Any]) -> Network:
 
 
 def resolve(name: str | Path) -> Path:
-    """The file of a packaged name (`deepfit`) or of a path.
+    """The file of a packaged name (`cloudfit`) or of a path.
 
     Raises:
         ModelError: if it is neither.
