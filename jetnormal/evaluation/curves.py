@@ -43,7 +43,7 @@ def draw_good_points(evaluation: Evaluation) -> Figure:
             label = f"{short(model.model)}  ({100 * model.categories[category].auc:.1f} %)"
             panel.plot(THRESHOLDS, model.curves[category], color=color, linewidth=1.8, label=label)
         panel.set_title(TITLES.get(category, category))
-        panel.legend(loc="lower right", fontsize=8, frameon=False, title="area under the curve", title_fontsize=8)
+        panel.legend(loc="best", fontsize=8, frameon=False, title="area under the curve", title_fontsize=8)
         _plain(panel)
     for panel in panels[len(categories) :]:
         panel.set_visible(False)
