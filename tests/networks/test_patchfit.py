@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 
 import numpy as np
@@ -8,6 +9,7 @@ import torch
 from torch import nn
 from torch.nn.functional import normalize
 
+from jetnormal.networks import layers, patchfit
 from jetnormal.networks.layers import PointLayer
 from jetnormal.networks.patchfit import CONFIGS, PatchFit, PatchFitConfig, PatchPrediction, parameter_count
 from jetnormal.networks.ztransform import rotation_to_z
@@ -315,3 +317,26 @@ def test_bfloat16_predicts_about_the_same_normals():
         rounded = network(points).refined
     cosine = (rounded * network(points).refined).sum(1).abs()
     assert torch.rad2deg(torch.acos(cosine.clamp(max=1))).median() < 3
+
+
+@pytest.mark.parametrize("transform", ["ztransform", "qstn"])
+@pytest.mark.parametrize("weights", CONFIGS["paper"])
+def test_nothing_stays_on_the_cpu_when_a_network_runs_elsewhere(weights, transform, monkeypatch):
+    for module in (layers, patchfit):  # the device that only knows shapes has no automatic mixed precision
+        monkeypatch.setattr(module, "full_precision", lambda _: contextlib.nullcontext())
+    config = dataclasses.replace(SMALL, weights=weights, transform=transform, neighbors=64, offsets=True)
+    network = PatchFit(config).to("meta")
+    prediction = network(torch.empty(3, 64, 3, device="meta"), iterations=2, neighbors=True)
+    assert prediction.refined.device.type == prediction.refined_neighbors.device.type == "meta"
+    assert prediction.jet.curvatures()[0].device.type == "meta"
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+@pytest.mark.parametrize("weights", CONFIGS["paper"])
+def test_a_gpu_predicts_the_same_normals(weights):
+    config = dataclasses.replace(SMALL, weights=weights, neighbors=64, offsets=True)
+    torch.manual_seed(0)
+    network = PatchFit(config).for_inference()
+    points = bent_patches(16, 64)[0]
+    expected = network(points).refined
+    torch.testing.assert_close(network.to("cuda")(points.to("cuda")).refined.cpu(), expected, rtol=0, atol=1e-3)
