@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jetnormal.geometry.branches import mend
 from jetnormal.geometry.neighbors import distinct
 from jetnormal.geometry.outward import turn_outward
 from jetnormal.geometry.signs import Surface, couplings, patch_forest, patches, revote, spread_signs
@@ -145,11 +146,14 @@ def _grow_tree(surface: Surface) -> Floats:
     """Turns normals consistently along a spanning tree of patches; returns how far neighbors agree (N,), 0 to 1.
 
     Hoppe et al., "Surface reconstruction from unorganized points" (1992), with patches of points for points: what
-    joins two patches is the sum of all edges between them, which one wrong edge cannot turn over.
+    joins two patches is the sum of all edges between them, which one wrong edge cannot turn over. Then branches turn
+    that contradict the rest.
     """
     patch = patches(surface)
-    flips, tree = spread_signs(patch_forest(couplings(surface, patch)))
-    surface.turn(flips[patch])
+    coupling = couplings(surface, patch)
+    forest = patch_forest(coupling)
+    flips, tree = spread_signs(forest)
+    surface.turn(mend(forest, coupling, flips)[patch])
     sure = revote(surface)
     component = tree[patch]
     stray = surface.radius > OUTLIER_RADIUS * np.median(surface.radius)

@@ -172,17 +172,22 @@ def patches(surface: Surface) -> Ints:
 
 
 def couplings(surface: Surface, patch: Ints) -> Any:
-    """How far patches agree, a symmetric sparse (M, M) matrix: sums of c |c| over the edges c between them."""
+    """How far patches agree, a symmetric sparse (M, M) matrix.
+
+    It is the sum of c |c| over the edges c between two patches, times its share of what the sum would be if they all
+    agreed: many edges of two minds say less than a few of one.
+    """
     from scipy.sparse import coo_matrix
 
     count = int(patch.max()) + 1
     here, there = np.broadcast_to(patch[:, None], surface.neighbors.shape), patch[surface.neighbors]
     between = (here != there) & (surface.lengths <= BRIDGE_RADII * surface.radius[surface.neighbors])
     weight = surface.edges[between]
-    matrix = coo_matrix((weight * np.abs(weight), (here[between], there[between])), (count, count)).tocsr()
-    matrix = (matrix + matrix.T) / 2
-    matrix.eliminate_zeros()
-    return matrix
+    places = here[between], there[between]
+    total, net = (coo_matrix((c * abs(weight), places), (count, count)).tocsr() for c in (abs(weight), weight))
+    total, net = (total + total.T) / 2, (net + net.T) / 2
+    net.eliminate_zeros()
+    return net.multiply(abs(net)).multiply(total.power(-1)).tocsr()
 
 
 def relax(coupling: Any, votes: Floats, *, steps: int = 400, tolerance: float = 1e-6) -> Floats:
