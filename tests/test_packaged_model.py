@@ -15,6 +15,7 @@ from jetnormal.networks.checkpoint import packaged_names
 from jetnormal.training.corruption import add_noise
 from jetnormal.training.shapes import random_solid
 
+PATCH_NETWORKS = ("deepfit-small", "adafit-small", "graphfit-small")
 SEEDS = (90_001, 90_002, 90_003)  # of solids; training draws from others
 
 
@@ -31,9 +32,10 @@ def error(model: str, noise: float) -> float:
     return rmse(np.concatenate(errors))
 
 
-def test_deepfit_is_packaged_and_small():
-    assert "deepfit-small" in packaged_names()
-    assert sum(p.numel() for p in load_model("deepfit-small").parameters()) < 1_000_000
+@pytest.mark.parametrize("model", PATCH_NETWORKS)
+def test_patch_networks_are_packaged_and_small(model):
+    assert model in packaged_names()
+    assert sum(p.numel() for p in load_model(model).parameters()) < 1_000_000
 
 
 def test_cloudfit_is_packaged_and_the_default():
@@ -42,7 +44,7 @@ def test_cloudfit_is_packaged_and_the_default():
     assert DEFAULT_MODEL == "cloudfit"
 
 
-@pytest.mark.parametrize("model", ["cloudfit", "deepfit-small"])
+@pytest.mark.parametrize("model", ["cloudfit", *PATCH_NETWORKS])
 @pytest.mark.parametrize(("noise", "share"), [(0.0, 0.75), (1.25e-3, 0.85), (6e-3, 1.0)])
 def test_networks_beat_a_plane_and_a_jet(model, noise, share):
     classical = min(error("pca:k=112", noise), error("jet:k=122,order=2", noise))
