@@ -145,7 +145,7 @@ def network_estimator(
     """A patch network; `k` overrides the patch size that it was trained with.
 
     Where the CPU can, its matrix products run in bfloat16: features are rounded, but rotations, jets and neighbors are
-    not. The RMSE over the validation benchmark moves by less than 0.01 degrees.
+    not. The RMSE of deepfit-small on the validation benchmark moves by less than 0.01 degrees.
     """
     network = network.to(device)
     bfloat16 = multiplies_bfloat16(device)

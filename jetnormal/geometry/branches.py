@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.geometry.signs import Forest
+from jetnormal.geometry.signs import Forest, rooted
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -32,7 +32,8 @@ def mend(forest: Forest, coupling: Any, flips: Bools) -> Bools:
     """
     from scipy.sparse import triu
 
-    parent, levels = _rooted(forest)
+    order, parent, _ = rooted(forest)
+    levels = _levels(order, parent)
     pairs = triu(coupling, 1).tocoo()
     meeting = _meeting_points(parent, levels, pairs.row.astype(np.int64), pairs.col.astype(np.int64))
     signs = np.where(flips, -1.0, 1.0)
@@ -50,26 +51,15 @@ def mend(forest: Forest, coupling: Any, flips: Bools) -> Bools:
     return signs < 0
 
 
-def _rooted(forest: Forest) -> tuple[Ints, list[Ints]]:
-    """The parent of each node, (M + 1,), and the nodes by their distance from the root, one more node above all."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import breadth_first_order, connected_components
-
-    n = forest.nodes
-    edges = coo_matrix((np.ones(len(forest.row)), (forest.row, forest.col)), (n, n))
-    roots = np.unique(connected_components(edges, directed=False)[1], return_index=True)[1]
-    ends = np.append(forest.row, np.full(len(roots), n)), np.append(forest.col, roots)
-    graph = coo_matrix((np.ones(len(ends[0])), ends), (n + 1, n + 1)).tocsr()
-    order, parent = breadth_first_order(graph, n, directed=False)
-    parent = parent.astype(np.int64)
-    parent[n] = n
-    rank = np.empty(n + 1, dtype=np.int64)
-    rank[order] = np.arange(n + 1)
+def _levels(order: Ints, parent: Ints) -> list[Ints]:
+    """The nodes, in an order from the top down, by their distance from the root."""
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
     above = rank[parent[order]]  # never falls: the children of a level follow it in one run
     starts = [0, 1]
     while starts[-1] < len(order):
         starts.append(int(np.searchsorted(above, starts[-1])))
-    return parent, [order[start:end].astype(np.int64) for start, end in pairwise(starts)]
+    return [order[start:end] for start, end in pairwise(starts)]
 
 
 def _meeting_points(parent: Ints, levels: list[Ints], a: Ints, b: Ints) -> Ints:

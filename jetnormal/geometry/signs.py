@@ -130,8 +130,13 @@ def patch_forest(coupling: Any) -> Forest:
     return Forest(tree.row.astype(np.int64), tree.col.astype(np.int64), tree.data, coupling.shape[0])
 
 
-def spread_signs(forest: Forest) -> tuple[Bools, Ints]:
-    """Which nodes (M,) to flip so that a forest is consistent, and the number of each node's tree (M,)."""
+def rooted(forest: Forest) -> tuple[Ints, Ints, Ints]:
+    """A forest with one more node M above the roots of all its trees, so that one search from it visits every node.
+
+    Returns:
+        The M + 1 nodes from the top down, level by level; the parent of each node (M + 1,), M being its own; and the
+        number of each node's tree (M,).
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, connected_components
 
@@ -139,20 +144,25 @@ def spread_signs(forest: Forest) -> tuple[Bools, Ints]:
     matrix = coo_matrix((np.ones(len(forest.row)), (forest.row, forest.col)), (n, n))
     tree = connected_components(matrix, directed=False)[1].astype(np.int64)
     roots = np.unique(tree, return_index=True)[1]
-    # One more node above all roots, so that one search from it visits every tree.
     ends = np.append(forest.row, np.full(len(roots), n)), np.append(forest.col, roots)
     graph = coo_matrix((np.ones(len(ends[0])), ends), (n + 1, n + 1)).tocsr()
-    parent = breadth_first_order(graph, n, directed=False)[1][:n].astype(np.int64)
-    parent[roots] = roots
+    order, parent = breadth_first_order(graph, n, directed=False)
+    parent[n] = n
+    return order.astype(np.int64), parent.astype(np.int64), tree
+
+
+def spread_signs(forest: Forest) -> tuple[Bools, Ints]:
+    """Which nodes (M,) to flip so that a forest is consistent, and the number of each node's tree (M,)."""
+    _, parent, tree = rooted(forest)
     child = np.where(parent[forest.col] == forest.row, forest.col, forest.row)
-    flips = np.zeros(n, dtype=bool)
+    flips = np.zeros(len(parent), dtype=bool)
     flips[child] = forest.agreement < 0
     # Pointer doubling: a sign relative to the parent becomes one relative to the grandparent, and so on,
     # in as many steps as the logarithm of the tree's depth.
     while not np.array_equal(parent, grandparent := parent[parent]):
         flips ^= flips[parent]
         parent = grandparent
-    return flips, tree
+    return flips[:-1], tree
 
 
 def patches(surface: Surface) -> Ints:

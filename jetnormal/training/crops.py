@@ -54,8 +54,7 @@ class CropSampler:
 
     def epoch(self, epoch: int, first: int = 0) -> Iterator[list[Crop]]:
         """The batches of an epoch from number `first` on; a thread prepares a window of clouds ahead."""
-        skip = first * self.batch_size
-        window, skip = divmod(skip, WINDOW * self.crops_per_cloud)
+        window, skip = divmod(first * self.batch_size, WINDOW * self.crops_per_cloud)
         windows = range(window, -(-self.source.clouds_per_epoch // WINDOW))
         batch: list[Crop] = []
         with ThreadPoolExecutor(1) as thread:

@@ -104,13 +104,13 @@ class Run:
         """
         if self._state_path.exists():
             raise InputError(f"{self.folder}: holds a run already; go on with --resume or choose another --out")
+        if initial:
+            self._take_over(resolve(initial))
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{self.folder}: cannot be created ({error.strerror}); choose another --out") from error
         self._metrics_path.unlink(missing_ok=True)
-        if initial:
-            self._take_over(resolve(initial))
 
     def resume(self) -> None:
         """Goes back to the last saved state.

@@ -393,3 +393,4 @@ def test_model_without_a_fitting_weight_is_refused(tmp_path):
     options = dataclasses.replace(OPTIONS, initial=str(tmp_path / "other.safetensors"))
     with pytest.raises(ModelError, match="shares no weights"):
         train(CONFIG, Spheres(), tmp_path / "run", options)
+    assert not (tmp_path / "run").exists()
