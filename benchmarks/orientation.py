@@ -6,6 +6,8 @@ All points of all clouds count. For each model ("true": the true normals, with r
 category: the share of outward normals as they come; the share after turning the whole cloud if that is better; the
 oriented RMSE, in degrees; and the seconds that the signs took. Each cloud and method runs in a process of its own,
 which is ended after --limit seconds; a category with such a cloud has no numbers.
+
+A run that was interrupted goes on with the same --results.
 """
 
 from __future__ import annotations
@@ -16,7 +18,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ import numpy as np
 from jetnormal.pcpnet import categorize, cloud_names, read_cloud
 
 METHODS = ["global", "mst", "plain", "open3d"]
+Row = dict[str, Any]  # model, cloud, category, method and result: what measure() returns, or None
 NEIGHBORS = 12  # of a plain spanning tree, and of Open3D's
 
 
@@ -98,14 +100,14 @@ def scrambled(normals: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(normals), normals, 0).astype(np.float64) * signs
 
 
-def print_table(model: str, found: dict[str, dict[str, list[dict[str, float] | None]]]) -> None:
-    categories = list(dict.fromkeys(category for rows in found.values() for category in rows))
+def print_table(model: str, rows: list[Row]) -> None:
+    categories = list(dict.fromkeys(row["category"] for row in rows))
     print(f"\n{model}: outward %, % after the better flip, oriented RMSE, seconds\n")
     print("| method | " + " | ".join(categories) + " |\n|---|" + "---|" * len(categories))
-    for method, rows in found.items():
+    for method in dict.fromkeys(row["method"] for row in rows):
         cells = []
         for category in categories:
-            results = rows[category]
+            results = [row["result"] for row in rows if row["method"] == method and row["category"] == category]
             done = [result for result in results if result is not None]
             if len(done) < len(results):
                 cells.append(f"{len(done)} of {len(results)} finished")
@@ -124,6 +126,7 @@ def main() -> None:
     parser.add_argument("--model", action="append", help="repeatable; default: the default model")
     parser.add_argument("--method", action="append", choices=METHODS, help="repeatable; default: all")
     parser.add_argument("--limit", type=float, default=120.0, help="seconds per cloud and method")
+    parser.add_argument("--results", type=Path, help="JSON lines, one per model, cloud and method; existing ones count")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # what the child processes are asked for
     arguments = parser.parse_args()
     if arguments.one:
@@ -133,18 +136,32 @@ def main() -> None:
     from jetnormal.estimators import make_estimator
 
     clouds = categorize(arguments.folder, cloud_names(arguments.folder, arguments.list))
+    methods = arguments.method or METHODS
+    known: list[Row] = []
+    if arguments.results and arguments.results.is_file():
+        known = [json.loads(line) for line in arguments.results.read_text().splitlines()]
     for model in arguments.model or [DEFAULT_MODEL]:
         estimator = None if model == "true" else make_estimator(model)
-        found: dict[str, Any] = {method: defaultdict(list) for method in arguments.method or METHODS}
+        rows = []
         for cloud, category in clouds.items():
+            mine = [row for row in known if (row["model"], row["cloud"]) == (model, cloud) and row["method"] in methods]
+            rows += mine
+            missing = [method for method in methods if method not in [row["method"] for row in mine]]
+            if not missing:
+                continue
             points, true, _ = read_cloud(arguments.folder, cloud)
             normals = scrambled(true if estimator is None else estimator(points).normals)
             with tempfile.TemporaryDirectory() as folder:
                 file = Path(folder) / f"{cloud}.npz"
                 np.savez(file, points=points, normals=normals, true=true)
-                for method, rows in found.items():
-                    rows[category].append(attempt(method, file, arguments.limit))
-        print_table(model, found)
+                for method in missing:
+                    result = attempt(method, file, arguments.limit)
+                    row = {"model": model, "cloud": cloud, "category": category, "method": method, "result": result}
+                    rows.append(row)
+                    if arguments.results:
+                        with arguments.results.open("a") as stream:
+                            stream.write(json.dumps(row) + "\n")
+        print_table(model, rows)
 
 
 if __name__ == "__main__":

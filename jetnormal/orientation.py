@@ -76,10 +76,11 @@ def sign_method(options: SignOptions, cloud: Cloud) -> tuple[Method, NDArray[np.
 def seen_from_origin(
     orientation: Orientation, points: NDArray[np.float64], options: SignOptions, cloud: Cloud
 ) -> Orientation | None:
-    """Open surfaces turned towards the origin of a PCD file, if it is plausible that a sensor stood there.
+    """Open surfaces turned towards the origin, if it is plausible that a sensor stood there.
 
-    A VIEWPOINT at the origin is what writers put where they know nothing, and also the truth in a sensor's own frame.
-    It is taken for the truth where nothing better is known and consistent signs show it one side of the surfaces.
+    The origin is where a depth camera stands in its own frame, and it is the VIEWPOINT that writers of PCD files put
+    where they know none. Where nothing better is known, such a VIEWPOINT is believed if consistent signs show it one
+    side of the surfaces, and any file's origin if the surfaces look as if a camera had taken them from there.
 
     Args:
         orientation: of the points, by "global".
@@ -90,12 +91,16 @@ def seen_from_origin(
     Returns:
         The orientation with these signs; None where they do not apply.
     """
+    from jetnormal.geometry.visibility import taken_from_origin
+
     known, is_open = cloud.source.viewpoint, orientation.open
-    if known is None or any(known[:3]) or options.orient != "auto" or is_open.mean() <= OPEN_SHARE:
+    elsewhere = known is not None and any(known[:3])
+    if elsewhere or options.orient != "auto" or is_open.mean() <= OPEN_SHARE:
         return None
     facing = np.einsum("nd,nd->n", orientation.normals, -points) > 0
     share = float(facing[is_open].mean())
-    if min(share, 1 - share) > 1 - ONE_SIDE:
+    stated = known is not None and max(share, 1 - share) >= ONE_SIDE
+    if not stated and not taken_from_origin(points):
         return None
     normals = np.where((is_open & ~facing)[:, None], -orientation.normals, orientation.normals)
     return replace(orientation, normals=normals)
@@ -106,7 +111,7 @@ def sign_warnings(orientation: Orientation, viewpoint: NDArray[np.float64] | Non
     warnings = []
     share = float(orientation.open.mean()) if len(orientation.open) else 0.0
     if share > OPEN_SHARE:
-        side = "towards the VIEWPOINT of the file, its origin" if from_origin else "up"
+        side = "towards the origin, where their sensor seems to have stood" if from_origin else "up"
         warnings.append(
             f"{share:.0%} of the points lie on open surfaces, which have no outside: their normals look {side}; "
             "--viewpoint tells which side was seen"

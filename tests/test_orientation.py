@@ -113,6 +113,14 @@ def test_open_surfaces_of_which_the_origin_sees_one_side_look_at_it(tilt):
     assert (seen.normals[:, 2] == -1).all()
 
 
+def test_without_a_word_of_the_file_surfaces_must_look_as_taken_from_the_origin(depth_picture):
+    cloud = estimate(Cloud(depth_picture), model="pca")
+    assert ((cloud.normals * -depth_picture).sum(axis=1) > 0).mean() > 0.99
+    from_behind = np.add(depth_picture * [1, 1, -1], (0, 0, 5))
+    cloud = estimate(Cloud(from_behind), model="pca")
+    assert (cloud.normals[:, 2] > 0).mean() > 0.9  # up, for want of anything better
+
+
 def test_the_origin_is_not_believed_without_reason():
     points, orientation = sheet()
     closed = replace(orientation, open=np.zeros(200, dtype=bool))

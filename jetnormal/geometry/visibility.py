@@ -1,7 +1,8 @@
 """What can be seen of a surface from far away: whoever sees a closed surface stands outside of it.
 
 The votes of patches for the side that infinity sees are those of Takayama et al., "A simple method for correcting facet
-orientations in polygon meshes based on ray casting" (2014), with orthographic depth maps for rays.
+orientations in polygon meshes based on ray casting" (2014), with orthographic depth maps for rays. What a near
+place sees is told by Katz et al., "Direct visibility of point sets" (2007).
 """
 
 from __future__ import annotations
@@ -25,6 +26,12 @@ MAX_OCTAVES = 6  # of the spacing, above its median
 MAX_PIXELS = 2048  # along a side of a picture
 EXTREME_SHARE = 0.01  # of a component's points vote, in each direction
 MIN_PURITY = 0.2  # votes for outward and inward that nearly cancel mean that there is no outside
+FIELD_OF_VIEW = 0.8  # of a depth camera: the tangent of half its angle is smaller
+STRAYS = 0.01  # of the points may lie outside of it, where it moved a little, and as many nearer or farther
+DEPTH_RANGE = 2.0  # it sees near and far things; heights over the sea are all alike
+SAMPLE = 10_000  # points tell how much a place sees
+SEES_MORE = 0.01  # of the points: what chance does not explain
+FLIP_RADII = 1000.0  # radius of the flip, over that of the points: what is larger sees through surfaces
 
 
 @dataclass(frozen=True)
@@ -103,6 +110,40 @@ def extremes_look_inward(surface: Surface, component: Ints, stray: Bools) -> Boo
         total += np.bincount(label[extreme], np.abs(vote)) / count
     sheet = np.abs(score) < MIN_PURITY * total
     return np.where(sheet, looks_down(np.add.reduceat(normals, starts, axis=0)), score < 0)
+
+
+def taken_from_origin(points: Floats) -> bool:
+    """Whether a depth camera at the origin seems to have taken the points (N, 3).
+
+    They lie within its field of view, along z as is usual in a camera's own frame, some far and some near, and it sees
+    more of them than any place as far away on their other side, since surfaces hide what is behind them.
+    """
+    depth = np.abs(points[:, 2])
+    near, far = np.quantile(depth, [STRAYS, 1 - STRAYS])
+    ahead = abs(int(np.sign(points[:, 2]).sum())) == len(points)
+    on_axis = (points[:, :2].min(axis=0) < 0).all() and (points[:, :2].max(axis=0) > 0).all()
+    outside = np.mean(np.abs(points[:, :2]).max(axis=1) > FIELD_OF_VIEW * depth)
+    if not ahead or not on_axis or outside > STRAYS or far < DEPTH_RANGE * near:
+        return False
+    sample = points[np.random.default_rng(0).permutation(len(points))[:SAMPLE]]
+    middle = sample.mean(axis=0)
+    around = middle + directions() * np.linalg.norm(middle)
+    behind = around[_along(directions(), middle) > 0]
+    return _visible_share(sample, np.zeros(3)) > max(_visible_share(sample, place) for place in behind) + SEES_MORE
+
+
+def _visible_share(points: Floats, place: Floats) -> float:
+    """Share of points (N, 3) that can be seen from a place: those on the hull of all, turned inside out around it."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    sights = points - place
+    length = np.maximum(np.linalg.norm(sights, axis=1, keepdims=True), 1e-300)
+    flipped = sights * (2 * FLIP_RADII * length.max() / length - 1)
+    try:
+        hull = ConvexHull(np.vstack([flipped, np.zeros(3)]))
+    except QhullError:  # all in one plane with the place
+        return 0.0
+    return (len(hull.vertices) - 1) / len(points)
 
 
 def looks_down(normals: Floats) -> Bools:
