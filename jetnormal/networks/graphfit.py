@@ -5,9 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from jetnormal.networks.layers import PointLayer, gather, nearest, point_layers
+from jetnormal.networks.layers import PointLayer, flat_indices, nearest, point_layers
+from jetnormal.networks.rows import by_rows
 from jetnormal.networks.weighting import Weighting, WeightPredictor
 from jetnormal.networks.ztransform import FeatureTransform, scaled
+
+EDGES = 4096  # at a time, in inference: their features stay in a core's cache
 
 
 class GraphFit(WeightPredictor):
@@ -61,10 +64,15 @@ class GraphLayer(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """(B, n, C) to (B, n, C)."""
         far, near = self.counts
-        neighbors = nearest(features, features, far)
-        around = self.far.last.peak(self.far(features, neighbors))
-        edges = self.near.last(self.near(features, neighbors[:, :, :near]))
-        return self.gate(features, self.join.split_peak(around, edges))
+        neighbors = flat_indices(nearest(features, features, far), features.shape[1]).flatten(0, 1)
+        from_far, from_near = self.far.parts(features), self.near.parts(features)
+
+        def joined(rows: slice) -> Tensor:
+            around = self.far.last.peak(self.far(*from_far, neighbors[rows], rows))
+            edges = self.near.last(self.near(*from_near, neighbors[rows, :near], rows))
+            return self.join.split_peak(around, edges)
+
+        return self.gate(features, by_rows(joined, len(neighbors), EDGES // far).view(features.shape))
 
 
 class Edges(nn.Module):
@@ -75,13 +83,20 @@ class Edges(nn.Module):
         self.first = _edge_layer(2 * channels, channels)
         self.last = _edge_layer(channels, channels)
 
-    def forward(self, features: Tensor, neighbors: Tensor) -> Tensor:
-        """(B, n, C) features and (B, n, k) neighbors to (B, n, k, C) features of edges after the first layer."""
-        # W [n - c, c] = W1 n + (W2 - W1) c: one product a point instead of one an edge
+    def parts(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """What the first linear map gives of (B, n, C) features as neighbors and as centres: two (B n, C).
+
+        W [n - c, c] = W1 n + (W2 - W1) c: one product a point instead of one an edge.
+        """
+        rows = features.flatten(0, 1)
         on_offset, on_centre = self.first.linear.weight.chunk(2, dim=1)
-        centre = nn.functional.linear(features, on_centre - on_offset, self.first.linear.bias)
-        neighbor = nn.functional.linear(features, on_offset)
-        return self.first.finish(gather(neighbor, neighbors).add_(centre[:, :, None]))
+        centre = nn.functional.linear(rows, on_centre - on_offset, self.first.linear.bias)
+        return nn.functional.linear(rows, on_offset), centre
+
+    def forward(self, neighbor: Tensor, centre: Tensor, neighbors: Tensor, rows: slice) -> Tensor:
+        """Features (m, k, C), after the first layer, of the edges from m rows to their (m, k) neighbors."""
+        picked = neighbor.index_select(0, neighbors.flatten()).view(*neighbors.shape, -1)
+        return self.first.finish(picked.add_(centre[rows, None]))
 
 
 class AdaptiveGate(nn.Module):

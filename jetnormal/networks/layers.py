@@ -99,9 +99,14 @@ def point_layers(widths: Sequence[int]) -> nn.Sequential:
 def gather(features: Tensor, indices: Tensor) -> Tensor:
     """Rows of (B, n, C) features at (B, ...) indices: (B, ..., C)."""
     count, channels = features.shape[1:]
-    first = torch.arange(features.shape[0], device=features.device) * count
-    rows = indices + first.view(-1, *[1] * (indices.dim() - 1))
-    return features.reshape(-1, channels).index_select(0, rows.flatten()).view(*indices.shape, channels)
+    rows = flat_indices(indices, count).flatten()
+    return features.reshape(-1, channels).index_select(0, rows).view(*indices.shape, channels)
+
+
+def flat_indices(indices: Tensor, count: int) -> Tensor:
+    """Indices (B, ...) into the n rows of each of B patches, as indices into all B n rows."""
+    first = torch.arange(indices.shape[0], device=indices.device) * count
+    return indices + first.view(-1, *[1] * (indices.dim() - 1))
 
 
 def nearest(points: Tensor, queries: Tensor, k: int) -> Tensor:

@@ -20,12 +20,12 @@ def _pool() -> ThreadPoolExecutor:
     return worker_pool(os.cpu_count())
 
 
-def for_rows(work: Callable[[slice], object], count: int) -> None:
+def for_rows(work: Callable[[slice], object], count: int, chunk: int = CHUNK) -> None:
     """Calls work(rows) for the rows 0 to count, in chunks whose size does not depend on the number of threads.
 
     The threads are as many as `torch.get_num_threads`; inside, each has PyTorch to itself.
     """
-    chunks = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
+    chunks = [slice(start, min(start + chunk, count)) for start in range(0, count, chunk)]
     threads = min(torch.get_num_threads(), len(chunks))
     inference = torch.is_inference_mode_enabled()
 
@@ -40,12 +40,12 @@ def for_rows(work: Callable[[slice], object], count: int) -> None:
         list(_pool().map(several, (chunks[part::threads] for part in range(threads))))
 
 
-def by_rows(function: Callable[[slice], Tensor], count: int) -> Tensor:
+def by_rows(function: Callable[[slice], Tensor], count: int, chunk: int = CHUNK) -> Tensor:
     """function(rows) for the rows 0 to count of a result, put together.
 
     While gradients are recorded that is a single call, otherwise `for_rows` makes the calls.
     """
-    if torch.is_grad_enabled() or count <= CHUNK:
+    if torch.is_grad_enabled() or count <= chunk:
         return function(slice(0, count))
     like = function(slice(0, 1))
     out = like.new_empty(count, *like.shape[1:])
@@ -53,5 +53,5 @@ def by_rows(function: Callable[[slice], Tensor], count: int) -> Tensor:
     def work(rows: slice) -> None:
         out[rows] = function(rows)
 
-    for_rows(work, count)
+    for_rows(work, count, chunk)
     return out
