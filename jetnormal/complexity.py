@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.utils.flop_counter import FlopCounterMode
 
-from jetnormal._device import resolve_device
+from jetnormal._device import resolve_device, torch_threads
 from jetnormal.estimators import make_estimator, network_estimator
+from jetnormal.geometry.pyramid import build_pyramid
 from jetnormal.networks.checkpoint import load_model, load_tensors, packaged_names, resolve
+from jetnormal.networks.cloudfit import CloudFit
 from jetnormal.networks.patchfit import CONFIGS, PatchFit, PatchFitConfig, parameter_count
 from jetnormal.prediction import Estimator
 
@@ -31,8 +34,8 @@ class Complexity:
         architecture: in words.
         parameters: trained values.
         megabytes: of its file, 10^6 bytes.
-        gflop_per_point: matrix products of one patch at inference, 10^9 operations, a multiply-add being two; None
-            for a network that has no patches.
+        gflop_per_point: matrix products of one patch at inference, or of a cloud over its points, 10^9 operations, a
+            multiply-add being two.
         ms_per_point: milliseconds of the whole estimation, neighbor search included; None unless measured.
         rmse: degrees, on the clouds that its training was validated on; None where the file does not say.
     """
@@ -41,7 +44,7 @@ class Complexity:
     architecture: str
     parameters: int
     megabytes: float
-    gflop_per_point: float | None
+    gflop_per_point: float
     ms_per_point: float | None = None
     rmse: float | None = None
 
@@ -63,7 +66,7 @@ def of_model(name: str, *, measure: bool = False, device: str = "auto", threads:
         architecture=describe(network.config) if isinstance(network, PatchFit) else metadata["architecture"],
         parameters=sum(t.numel() for key, t in tensors.items() if not key.endswith(_STATISTICS)),
         megabytes=path.stat().st_size / 1e6,
-        gflop_per_point=gflop_per_patch(network) if isinstance(network, PatchFit) else None,
+        gflop_per_point=gflop_per_patch(network) if isinstance(network, PatchFit) else gflop_of_cloud(network),
         ms_per_point=ms_per_point(estimator, timed) if measure else None,
         rmse=metadata.get("training", {}).get("rmse"),
     )
@@ -117,8 +120,23 @@ def describe(config: PatchFitConfig) -> str:
 def gflop_per_patch(network: PatchFit) -> float:
     """10^9 floating point operations in the matrix products of one patch, as they are executed."""
     points = torch.rand(1, network.config.neighbors, 3, generator=torch.Generator().manual_seed(1)) - 0.5
-    with torch.no_grad(), FlopCounterMode(display=False) as counter:
-        network(points.to(next(network.parameters()).device))
+    return _products(lambda: network(points.to(next(network.parameters()).device)))
+
+
+def gflop_of_cloud(network: CloudFit) -> float:
+    """10^9 floating point operations a point in the matrix products of a whole cloud, as they are executed.
+
+    The compiled loops over edges are not counted.
+    """
+    points = _solid(np.random.default_rng(1))
+    pyramid = build_pyramid(points - points.mean(axis=0), len(network.config.channels))
+    return _products(lambda: network.fit(network.encode(pyramid), torch.arange(len(points)))) / len(points)
+
+
+def _products(work: Callable[[], object]) -> float:
+    """10^9 operations in the matrix products of some work, on one thread, since the counter sees no other."""
+    with torch.inference_mode(), torch_threads(1), FlopCounterMode(display=False) as counter:
+        work()
     return counter.get_total_flops() / 1e9
 
 
@@ -129,13 +147,18 @@ def ms_per_point(estimator: Estimator, queries: int | None) -> float:
         estimator: to be measured.
         queries: points to estimate; None for the whole cloud.
     """
-    from jetnormal.training.corruption import add_noise
-    from jetnormal.training.shapes import random_solid
-
     rng = np.random.default_rng(1)
-    points = add_noise(random_solid(rng).sample(CLOUD_POINTS, rng)[0], 2.5e-3, rng)
+    points = _solid(rng)
     chosen = rng.permutation(CLOUD_POINTS)[: queries or CLOUD_POINTS]
     estimator(points, chosen[:16])  # imports and warm-up
     start = time.perf_counter()
     estimator(points, None if queries is None else chosen)
     return 1e3 * (time.perf_counter() - start) / len(chosen)
+
+
+def _solid(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Points of a procedural solid with a little noise."""
+    from jetnormal.training.corruption import add_noise
+    from jetnormal.training.shapes import random_solid
+
+    return add_noise(random_solid(rng).sample(CLOUD_POINTS, rng)[0], 2.5e-3, rng)

@@ -9,6 +9,7 @@ import torch
 from jetnormal import complexity
 from jetnormal.cli.app import main
 from jetnormal.networks.checkpoint import load_tensors, packaged_names, save_model, save_tensors
+from jetnormal.networks.cloudfit import CloudFit, CloudFitConfig
 from jetnormal.networks.layers import PointLayer
 from jetnormal.networks.patchfit import PatchFit, PatchFitConfig, parameter_count
 
@@ -83,6 +84,18 @@ def test_operations_are_those_of_the_matrix_products():
             return self.layer(points)
 
     assert complexity.gflop_per_patch(Single().for_inference()) == pytest.approx(2e-9 * 32 * 3 * 5)
+
+
+def test_operations_of_a_cloud_are_those_of_its_points(monkeypatch):
+    network = CloudFit(CloudFitConfig((8, 8, 8), 4, 2, (0, 0, 0), (0, 0, 0))).for_inference()
+
+    def fit(encoding, queries):
+        return torch.ones(len(queries), 3) @ torch.ones(3, 5)
+
+    monkeypatch.setattr(network, "encode", lambda pyramid: torch.ones(7, 11) @ torch.ones(11, 13))
+    monkeypatch.setattr(network, "fit", fit)
+    per_cloud = 2e-9 * 7 * 11 * 13 / complexity.CLOUD_POINTS
+    assert complexity.gflop_of_cloud(network) == pytest.approx(2e-9 * 3 * 5 + per_cloud)
 
 
 @pytest.mark.parametrize(

@@ -36,8 +36,9 @@ def models(
 ) -> None:
     """List models: parameters, size, operations, time and error.
 
-    GFLOP/point counts the matrix products of a patch network, a multiply-add as two operations. ms/point is the
-    whole estimation on this machine. RMSE is what the file records of its training: degrees on the validation clouds.
+    GFLOP/point counts the matrix products of a patch, or of a whole cloud over its points, a multiply-add as two
+    operations. ms/point is the whole estimation on this machine. RMSE is what the file records of its training: degrees
+    on the validation clouds.
 
     \b
     Examples:
@@ -75,7 +76,7 @@ def _table(title: str, names: list[str], found: list[Complexity]) -> Table:
     columns: list[tuple[str, str, list[float | None]]] = [
         ("parameters (M)", "{:.3f}", [one.parameters / 1e6 for one in found]),
         ("MB", "{:.2f}", [one.megabytes for one in found]),
-        ("GFLOP/point", "{:.3f}", [one.gflop_per_point for one in found]),
+        ("GFLOP/point", "{:.3g}", [one.gflop_per_point for one in found]),
         ("ms/point", "{:.3g}", [one.ms_per_point for one in found]),
         ("RMSE (°)", "{:.2f}", [one.rmse for one in found]),
     ]
