@@ -20,7 +20,7 @@ from jetnormal.networks.patchfit import CONFIGS, PatchFit, PatchFitConfig, param
 from jetnormal.prediction import Estimator
 
 CLOUD_POINTS = 20_000  # of the procedural solid that speed is measured on
-TIMED_PATCHES = 256
+TIMED_PATCHES = 512
 TITLES = {"deepfit": "DeepFit", "adafit": "AdaFit", "graphfit": "GraphFit"}
 _STATISTICS = ("running_mean", "running_var", "num_batches_tracked")  # tensors of a file that are no parameters
 
