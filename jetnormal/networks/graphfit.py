@@ -10,7 +10,7 @@ from jetnormal.networks.rows import by_rows
 from jetnormal.networks.weighting import Weighting, WeightPredictor
 from jetnormal.networks.ztransform import FeatureTransform, scaled
 
-EDGES = 4096  # at a time, in inference: their features stay in a core's cache
+EDGES = 4096  # at a time, in inference on a CPU: their features stay in a core's cache
 
 
 class GraphFit(WeightPredictor):
@@ -72,7 +72,8 @@ class GraphLayer(nn.Module):
             edges = self.near.last(self.near(*from_near, neighbors[rows, :near], rows))
             return self.join.split_peak(around, edges)
 
-        return self.gate(features, by_rows(joined, len(neighbors), EDGES // far).view(features.shape))
+        chunk = EDGES // far if features.device.type == "cpu" else len(neighbors)
+        return self.gate(features, by_rows(joined, len(neighbors), chunk).view(features.shape))
 
 
 class Edges(nn.Module):
