@@ -19,6 +19,7 @@ def test_a_depth_picture_was_taken_from_the_origin(depth_picture, axis):
     "moved",
     [
         lambda points: np.add(points * [1, 1, -1], (0, 0, 2 * WALL - 1)),  # seen from behind the wall
+        lambda points: np.add(points * [0.5, 0.5, -1], (0, 0, 1.5 * WALL)),  # in view, but the wall hides the balls
         lambda points: points - points.mean(axis=0),
         lambda points: np.add(points, (0, 0, 3)),  # too far away for its depth
         lambda points: np.add(points, (3, 0, 0)),
@@ -40,6 +41,7 @@ def test_surfaces_that_hide_nothing_tell_nothing():
 
 
 def test_a_terrain_was_not_taken_from_below():
+    """Its heights over the sea are too much alike; what crowns hide would not tell it from a depth picture."""
     rng = np.random.default_rng(2)
     trees = rng.uniform(-4, 4, (12, 2))
     ground = np.column_stack([rng.uniform(-5, 5, (8000, 2)), np.zeros(8000)])
