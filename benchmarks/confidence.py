@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from jetnormal.estimators import make_estimator
+from jetnormal.estimators.patchwise import make_estimator
+from jetnormal.formats.pcpnet import cloud_names, read_cloud, split_name
 from jetnormal.geometry.metrics import angles
-from jetnormal.pcpnet import cloud_names, read_cloud, split_name
 
 SURE = 10.0  # degrees
 BINS = 10

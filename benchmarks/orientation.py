@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from jetnormal.pcpnet import categorize, cloud_names, read_cloud
+from jetnormal.formats.pcpnet import categorize, cloud_names, read_cloud
 
 METHODS = ["global", "mst", "plain", "open3d"]
 Row = dict[str, Any]  # model, cloud, category, method and result: what measure() returns, or None
@@ -36,7 +36,7 @@ def plain_tree(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     from scipy.sparse.csgraph import minimum_spanning_tree
 
     from jetnormal.geometry.neighbors import NeighborIndex
-    from jetnormal.geometry.signs import Forest, spread_signs
+    from jetnormal.orientation.agreement import Forest, spread_signs
 
     n = len(points)
     neighbors = NeighborIndex(points).query(points, NEIGHBORS + 1)[0][:, 1:]
@@ -53,7 +53,7 @@ def plain_tree(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def open3d_plane(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    from jetnormal._open3d import import_open3d
+    from jetnormal.support.open3d_loader import import_open3d
 
     open3d = import_open3d()
     if open3d is None:
@@ -67,7 +67,7 @@ def open3d_plane(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def measure(method: str, file: Path) -> dict[str, float]:
     """Chooses signs in this process, after a small cloud that pays for the imports."""
     from jetnormal.geometry.metrics import angles, oriented_accuracy, rmse
-    from jetnormal.geometry.orient import orient
+    from jetnormal.orientation.methods import orient
 
     def run(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         if method == "plain":
@@ -132,8 +132,8 @@ def main() -> None:
     if arguments.one:
         print(json.dumps(measure(arguments.one, arguments.folder)))
         return
-    from jetnormal.estimation import DEFAULT_MODEL
-    from jetnormal.estimators import make_estimator
+    from jetnormal.estimators.patchwise import make_estimator
+    from jetnormal.jobs.estimate import DEFAULT_MODEL
 
     clouds = categorize(arguments.folder, cloud_names(arguments.folder, arguments.list))
     methods = arguments.method or METHODS

@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from jetnormal.estimators import network_estimator
-from jetnormal.networks.patchfit import CONFIGS, PatchFit
+from jetnormal.estimators.patchwise import network_estimator
+from jetnormal.networks.patchfit.network import CONFIGS, PatchFit
 
 PRODUCTS = {"aten::addmm", "aten::baddbmm", "aten::bmm", "aten::linear", "aten::matmul", "aten::mm"}
 

@@ -30,13 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import jetnormal
-from jetnormal import pcpnet
 from jetnormal.cloud import Cloud
+from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
 from jetnormal.errors import JetnormalError
+from jetnormal.formats import pcpnet
 from jetnormal.formats.meshes import MESH_SUFFIXES
-from jetnormal.geometry.distances import surface_distance
 from jetnormal.mesh import Mesh
-from jetnormal.training.meshes import MeshSampler, load_mesh
+from jetnormal.meshing.distances import surface_distance
 
 SAMPLES = 100_000
 OPEN3D_K = 30
@@ -63,7 +63,7 @@ def open3d_normals(points: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
 
 def open3d_child(folder: Path) -> None:
-    from jetnormal._open3d import import_open3d
+    from jetnormal.support.open3d_loader import import_open3d
 
     open3d: Any = import_open3d()
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.load(folder / "points.npy")))

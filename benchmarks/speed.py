@@ -25,8 +25,8 @@ DEFAULT_MODELS = ["pca:k=30", "jet:k=30,order=2", "jet:k=60,order=2", "cloudfit"
 
 def cloud(count: int) -> tuple[np.ndarray, np.ndarray]:
     """(count, 3) points and their true normals."""
-    from jetnormal.training.corruption import add_noise
-    from jetnormal.training.shapes import random_solid
+    from jetnormal.data.corruption import add_noise
+    from jetnormal.data.solids.recipes import random_solid
 
     rng = np.random.default_rng(1)
     points, normals = random_solid(rng).sample(count, rng)
@@ -34,7 +34,7 @@ def cloud(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def open3d_normals(points: np.ndarray, k: int) -> np.ndarray:
-    from jetnormal._open3d import import_open3d
+    from jetnormal.support.open3d_loader import import_open3d
 
     open3d = import_open3d()
     if open3d is None:
@@ -46,9 +46,9 @@ def open3d_normals(points: np.ndarray, k: int) -> np.ndarray:
 
 def measure(model: str, count: int, repeats: int) -> dict[str, float]:
     """Runs one model in this process: median seconds, RMSE in degrees, peak memory in MB."""
-    from jetnormal.estimators import make_estimator
+    from jetnormal.estimators.patchwise import make_estimator
     from jetnormal.geometry.metrics import angles, rmse
-    from jetnormal.report import peak_memory_mb
+    from jetnormal.support.report import peak_memory_mb
 
     points, true = cloud(count)
     if model.startswith("open3d"):
@@ -76,8 +76,8 @@ def print_stages(model: str, count: int, repeats: int) -> None:
     """Where a whole-cloud model spends its time, as a table."""
     import torch
 
-    from jetnormal.cloud_estimator import CloudEstimator, spatial_order
-    from jetnormal.estimators import make_estimator
+    from jetnormal.estimators.patchwise import make_estimator
+    from jetnormal.estimators.whole_cloud import CloudEstimator, spatial_order
     from jetnormal.geometry.neighbors import NeighborIndex
     from jetnormal.geometry.pyramid import NEIGHBORS, build_pyramid
 

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jetnormal.cloud import Cloud
-    from jetnormal.estimation import estimate
     from jetnormal.evaluation import evaluate
     from jetnormal.formats import read, write
-    from jetnormal.geometry.orient import orient
+    from jetnormal.jobs.estimate import estimate
+    from jetnormal.jobs.reconstruct import reconstruct
     from jetnormal.mesh import Mesh
     from jetnormal.networks.checkpoint import load_model
-    from jetnormal.reconstruction import reconstruct
+    from jetnormal.orientation.methods import orient
 
 __version__ = "0.1.0"
 
@@ -41,12 +41,12 @@ __all__ = [
 _HOMES = {
     "Cloud": "jetnormal.cloud",
     "Mesh": "jetnormal.mesh",
-    "estimate": "jetnormal.estimation",
+    "estimate": "jetnormal.jobs.estimate",
     "evaluate": "jetnormal.evaluation",
     "load_model": "jetnormal.networks.checkpoint",
-    "orient": "jetnormal.geometry.orient",
+    "orient": "jetnormal.orientation.methods",
     "read": "jetnormal.formats",
-    "reconstruct": "jetnormal.reconstruction",
+    "reconstruct": "jetnormal.jobs.reconstruct",
     "write": "jetnormal.formats",
 }
 

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from jetnormal import report
+from jetnormal.support import report
 
 
 @pytest.fixture(autouse=True)

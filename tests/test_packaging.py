@@ -72,10 +72,10 @@ def test_wheel_carries_models_types_and_licence(wheel):
 def test_installed_program_runs_the_installed_package(programs, tmp_path):
     assert "jetnormal estimate" in run(programs / "jetnormal", "--help", cwd=tmp_path)
     assert run(programs / "jetnormal", "--version", cwd=tmp_path) == f"jetnormal {jetnormal.__version__}\n"
-    where = "import jetnormal._resources as r; print(r.__file__); print(r.model_directory())"
+    where = "import jetnormal.networks.packaged as r; print(r.__file__); print(r.model_directory())"
     module, models = (Path(line) for line in run(programs / "python", "-c", where, cwd=tmp_path).splitlines())
     assert module.is_relative_to(programs.parent)
-    assert models == module.parent / "models"
+    assert models == module.parents[1] / "models"
     assert {path.name for path in models.iterdir()} == {path.name for path in (ROOT / "models").iterdir()}
 
 
@@ -100,6 +100,6 @@ def test_constraints_pin_every_dependency():
 
 
 def test_source_checkout_finds_its_models():
-    from jetnormal._resources import model_directory
+    from jetnormal.networks.packaged import model_directory
 
     assert model_directory() == ROOT / "models"

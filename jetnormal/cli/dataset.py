@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
-from jetnormal.report import logger, print_json
+from jetnormal.support.report import logger, print_json
 
 
 def dataset(
@@ -48,7 +48,7 @@ def dataset(
       jetnormal evaluate --data benchmark --model cloudfit
     """
     set_verbosity(quiet, verbose)
-    from jetnormal.training.generation import DatasetOptions, write_dataset
+    from jetnormal.data.write_benchmark import DatasetOptions, write_dataset
 
     options = DatasetOptions(points, queries, split, seed)
     clouds = write_dataset(out, options, meshes=meshes, solids=synthetic, overwrite=force)

@@ -9,7 +9,7 @@ import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, Viewpoint, ViewpointAttribute, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.report import logger, print_json
+from jetnormal.support.report import logger, print_json
 
 
 def estimate(
@@ -80,7 +80,7 @@ def estimate(
     set_verbosity(quiet, verbose)
     if mesh is not None:
         check_mesh(mesh, output, orient, force)
-    from jetnormal.estimation import EstimateOptions, estimate_file
+    from jetnormal.jobs.estimate import EstimateOptions, estimate_file
 
     options = EstimateOptions(
         model=model,
@@ -102,7 +102,7 @@ def estimate(
     summary = estimate_file(input, output, options)
     report(summary)
     if mesh is not None:
-        from jetnormal.reconstruction import ReconstructOptions, reconstruct_file
+        from jetnormal.jobs.reconstruct import ReconstructOptions, reconstruct_file
 
         summary["mesh"] = reconstruct_file(output, mesh, ReconstructOptions(threads=threads, force=force))
         report_mesh(summary["mesh"])

@@ -10,7 +10,7 @@ import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.report import logger, print_json
+from jetnormal.support.report import logger, print_json
 
 
 def evaluate(

@@ -8,7 +8,7 @@ import traceback
 from contextlib import suppress
 
 from jetnormal.errors import JetnormalError, ResourceError
-from jetnormal.report import logger
+from jetnormal.support.report import logger
 
 
 def report_failure(error: Exception) -> int:

@@ -11,10 +11,10 @@ import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.report import print_json
+from jetnormal.support.report import print_json
 
 if TYPE_CHECKING:
-    from jetnormal.complexity import Complexity
+    from jetnormal.evaluation.cost import Complexity
     from jetnormal.evaluation.tables import Table
 
 
@@ -49,7 +49,7 @@ def models(
     set_verbosity(quiet, verbose)
     if complexity and model:
         raise UsageError("--complexity lists the paper's networks: leave it or the models out")
-    from jetnormal.complexity import of_model, of_packaged, of_paper
+    from jetnormal.evaluation.cost import of_model, of_packaged, of_paper
 
     if complexity:
         found = of_paper(measure=measure, device=device, threads=threads)

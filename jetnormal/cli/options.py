@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from jetnormal.errors import UsageError
-from jetnormal.report import configure_logging
+from jetnormal.support.report import configure_logging
 
 
 def parse_vector(text: str) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from jetnormal.cli.options import Json, Quiet, Verbose, parse_vector, set_verbosity
-from jetnormal.report import logger, print_json
+from jetnormal.support.report import logger, print_json
 
 
 def preview(
@@ -62,7 +62,7 @@ def preview(
       jetnormal preview mesh.ply --html mesh.html
     """
     set_verbosity(quiet, verbose)
-    from jetnormal.preview import PreviewOptions, preview_file
+    from jetnormal.jobs.preview import PreviewOptions, preview_file
 
     options = PreviewOptions(
         views=tuple(view.strip() for view in views.split(",")),

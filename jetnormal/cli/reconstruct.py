@@ -9,7 +9,7 @@ import typer
 
 from jetnormal.cli.estimate import report_mesh
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, Viewpoint, ViewpointAttribute, set_verbosity
-from jetnormal.report import print_json
+from jetnormal.support.report import print_json
 
 
 def reconstruct(
@@ -70,7 +70,7 @@ def reconstruct(
       jetnormal reconstruct part.xyz -o part.stl --recompute --model jet --json
     """
     set_verbosity(quiet, verbose)
-    from jetnormal.reconstruction import ReconstructOptions, reconstruct_file
+    from jetnormal.jobs.reconstruct import ReconstructOptions, reconstruct_file
 
     options = ReconstructOptions(
         depth=depth,

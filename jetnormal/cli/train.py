@@ -11,7 +11,7 @@ import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.report import logger, print_json
+from jetnormal.support.report import logger, print_json
 
 # What only patch networks, or only cloudfit, have; any other choice of model refuses them.
 PATCH_OPTIONS = (
@@ -180,8 +180,8 @@ def train(
     for foreign in PATCH_OPTIONS if model == "cloudfit" else CLOUD_OPTIONS:
         if foreign in chosen:
             raise UsageError(f"--{foreign.replace('_', '-')} is no option of {model}: leave it out")
-    from jetnormal._device import resolve_device, torch_threads
-    from jetnormal.training.datasets import VALIDATION_LIST, open_dataset
+    from jetnormal.data.sources import VALIDATION_LIST, open_dataset
+    from jetnormal.support.device import resolve_device, torch_threads
     open_source = partial(open_dataset, clouds_per_epoch=clouds_per_epoch, points=points_per_cloud)
     source = open_source(data or [], synthetic=synthetic, weights=weights, list_file=list_file)
     held_out = None
@@ -191,7 +191,7 @@ def train(
     name = " ".join([folder.resolve().name for folder in data or []] + ["synthetic"] * synthetic)
     arguments: dict[str, Any] = {"validation": held_out, "resume": resume, "tensorboard": tensorboard}
     if model == "cloudfit":
-        from jetnormal.networks.cloudfit import CloudFitConfig
+        from jetnormal.networks.cloudfit.network import CloudFitConfig
         from jetnormal.training.cloudloop import CloudTrainOptions, train_cloudfit
 
         if device not in ("auto", "cpu"):
@@ -203,7 +203,7 @@ def train(
         layout = CloudFitConfig() if order is None else CloudFitConfig(order=order)
         summary = train_cloudfit(layout, source, out, cloud_options, **arguments)
     else:
-        from jetnormal.networks.patchfit import CONFIGS
+        from jetnormal.networks.patchfit.network import CONFIGS
         from jetnormal.training.loop import TrainOptions, train
         from jetnormal.training.losses import LossWeights, published_losses
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.formats.pcpnet import clean_twin, file_of, read_cloud
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.pcpnet import clean_twin, file_of, read_cloud
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.pcpnet import split_name
-from jetnormal.report import progress
+from jetnormal.formats.pcpnet import split_name
+from jetnormal.support.report import progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

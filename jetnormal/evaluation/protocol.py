@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import InputError, UsageError
+from jetnormal.estimators.base import Estimator
 from jetnormal.evaluation.clouds import BenchmarkCloud, clean_normals, read_benchmark_cloud
 from jetnormal.evaluation.scores import THRESHOLDS, Scores, good_points_curve, mean_scores, score
 from jetnormal.evaluation.store import Estimate, ResultStore, digest
 from jetnormal.evaluation.zangles import ZAngles, measure_z_angles
-from jetnormal.pcpnet import CATEGORIES, TEST_LIST, categorize, cloud_names, query_count
-from jetnormal.prediction import Estimator
-from jetnormal.report import Advance, logger, progress
+from jetnormal.formats.pcpnet import CATEGORIES, TEST_LIST, categorize, cloud_names, query_count
+from jetnormal.support.report import Advance, logger, progress
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def evaluate(
         ModelError: a model is unknown or damaged.
         ResourceError: there is no such device.
     """
-    from jetnormal.geometry.orient import Method
+    from jetnormal.orientation.methods import Method
 
     folder = Path(data)
     if not folder.is_dir():
@@ -199,7 +199,7 @@ def _by_category(clouds: dict[str, str]) -> dict[str, list[str]]:
 def _make_trials(
     models: Sequence[str | Estimator], settings: dict[str, Any], store: ResultStore | None
 ) -> list[_Trial]:
-    from jetnormal.estimators import make_estimator, model_file
+    from jetnormal.estimators.patchwise import make_estimator, model_file
 
     trials: dict[str, _Trial] = {}
     for model in models:
@@ -251,7 +251,7 @@ class _Trial:
         return estimate
 
     def _estimate(self, cloud: BenchmarkCloud, orient: str, advance: Advance) -> Estimate:
-        from jetnormal.geometry.orient import orient as choose_signs
+        from jetnormal.orientation.methods import orient as choose_signs
 
         rows = cloud.queries if orient == "none" else np.arange(len(cloud.points))
         start = time.perf_counter()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import jetnormal
 from jetnormal.errors import InputError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.report import logger
+from jetnormal.support.report import logger
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.estimators.base import Estimator
 from jetnormal.evaluation.clouds import BenchmarkCloud
 from jetnormal.geometry.metrics import angles
-from jetnormal.prediction import Estimator
 
 SAMPLE = 1000  # points of a cloud that are measured, at most
 BATCH = 32
@@ -38,10 +38,10 @@ def measure_z_angles(estimator: Estimator, cloud: BenchmarkCloud) -> ZAngles | N
     """
     import torch
 
-    from jetnormal._device import torch_threads
-    from jetnormal.estimators import PatchEstimator
+    from jetnormal.estimators.patchwise import PatchEstimator
     from jetnormal.geometry.neighbors import NeighborIndex
     from jetnormal.geometry.patches import build_patches
+    from jetnormal.support.device import torch_threads
 
     if not isinstance(estimator, PatchEstimator) or estimator.transform is None:
         return None

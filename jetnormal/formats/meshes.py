@@ -12,10 +12,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal._open3d import import_open3d
 from jetnormal.errors import InputError
 from jetnormal.formats import atomic
 from jetnormal.mesh import Mesh
+from jetnormal.support.open3d_loader import import_open3d
 
 Rows = NDArray[Any]
 SINGLE_PRECISION_LOSS = 1e-5  # of a mesh's size: an error of coordinates that is worth a warning

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal._open3d import import_open3d
+from jetnormal.support.open3d_loader import import_open3d
 
 Search = Callable[[NDArray[np.float64], int], NDArray[np.int64]]
 

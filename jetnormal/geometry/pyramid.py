@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal._compiled import compiled
 from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.support.compiled import compiled
 
 NEIGHBORS = 16
 PARENTS = 4

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from jetnormal._resources import model_directory
 from jetnormal.errors import ModelError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
+from jetnormal.networks.packaged import model_directory
+from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 if TYPE_CHECKING:
-    from jetnormal.networks.cloudfit import CloudFit
+    from jetnormal.networks.cloudfit.network import CloudFit
 
     Network = PatchFit | CloudFit
 
@@ -99,7 +99,7 @@ def _build(architecture: str, config: dict[str, Any]) -> Network:
     """A network by its architecture and its configuration."""
     if architecture == PatchFit.architecture:
         return PatchFit(PatchFitConfig(**config))
-    from jetnormal.networks.cloudfit import CloudFit, CloudFitConfig  # brings numba along
+    from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig  # brings numba along
 
     return CloudFit(CloudFitConfig(**config))
 

@@ -10,7 +10,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from jetnormal._device import worker_pool
+from jetnormal.support.device import worker_pool
 
 CHUNK = 4096  # rows
 

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal._open3d import import_open3d
 from jetnormal.errors import ResourceError
 from jetnormal.rendering.camera import camera_axes, view_direction
 from jetnormal.rendering.light import BACKGROUNDS
 from jetnormal.rendering.scene import Scene, unit
 from jetnormal.rendering.surfels import DISK_RADIUS, spacing
+from jetnormal.support.open3d_loader import import_open3d
 
 MAX_POINTS = 250_000
 MAX_FACES = 180_000

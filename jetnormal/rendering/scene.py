@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud
-from jetnormal.colors import normal_colors, point_colors
 from jetnormal.errors import InputError
+from jetnormal.formats.colors import normal_colors, point_colors
 from jetnormal.mesh import Mesh
 
 Floats = NDArray[np.float64]

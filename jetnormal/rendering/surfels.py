@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal._open3d import import_open3d
 from jetnormal.errors import ResourceError
 from jetnormal.rendering.camera import Camera
 from jetnormal.rendering.scene import Scene
+from jetnormal.support.open3d_loader import import_open3d
 
 Floats = NDArray[Any]  # float64, or float32 where there are many
 
@@ -101,7 +101,7 @@ def _splat(scene: Scene, camera: Camera) -> Surfels:
 
 def spacing(points: NDArray[np.float64]) -> float:
     from jetnormal.geometry.neighbors import distinct
-    from jetnormal.geometry.surface import typical_spacing
+    from jetnormal.meshing.cleanup import typical_spacing
 
     kept = points[distinct(points)[0]]
     return typical_spacing(kept) if len(kept) > 1 else 1.0

@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from jetnormal.data.sources import DataSource, LabeledCloud
 from jetnormal.errors import InputError
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import build_patches
-from jetnormal.training.datasets import DataSource, LabeledCloud
 
 AHEAD = 4  # batches that wait for the network
 _Made = TypeVar("_Made")

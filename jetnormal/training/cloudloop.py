@@ -15,14 +15,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from jetnormal._device import worker_pool
+from jetnormal.data.sources import DataSource
 from jetnormal.errors import ModelError, UsageError
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.geometry.pyramid import build_pyramid
-from jetnormal.networks.cloudfit import CloudFit, CloudFitConfig, CloudPrediction, Encoding
-from jetnormal.networks.patchfit import parameter_count
+from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig, CloudPrediction, Encoding
+from jetnormal.networks.patchfit.network import parameter_count
+from jetnormal.support.device import worker_pool
 from jetnormal.training.crops import Crop, CropSampler, draw_crops
-from jetnormal.training.datasets import DataSource
 from jetnormal.training.epochs import HELD_OUT_EPOCH, MAX_GRADIENT, train_epochs
 from jetnormal.training.run import Run
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.data.sources import DataSource, LabeledCloud
 from jetnormal.training.batches import made_ahead
-from jetnormal.training.datasets import DataSource, LabeledCloud
 
 WINDOW = 8  # clouds whose crops are shuffled together
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Generic, Protocol, TypeVar
 
-from jetnormal.report import logger, progress
+from jetnormal.support.report import logger, progress
 from jetnormal.training.run import Run
 
 _Batch = TypeVar("_Batch")

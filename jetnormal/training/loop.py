@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from jetnormal.data.sources import DataSource
 from jetnormal.errors import ModelError, UsageError
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.networks.patchfit import PatchFit, PatchFitConfig, parameter_count
-from jetnormal.report import logger
+from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig, parameter_count
+from jetnormal.support.report import logger
 from jetnormal.training.batches import Batch, PatchSampler, labeled_patches
-from jetnormal.training.datasets import DataSource
 from jetnormal.training.epochs import HELD_OUT_EPOCH, MAX_GRADIENT, train_epochs
 from jetnormal.training.losses import LossWeights, total_loss
 from jetnormal.training.run import Run

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from jetnormal.networks.patchfit import PatchFitConfig, PatchPrediction
+from jetnormal.networks.patchfit.network import PatchFitConfig, PatchPrediction
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jetnormal.prediction import Prediction
+from jetnormal.estimators.base import Prediction
 
 
 @pytest.fixture

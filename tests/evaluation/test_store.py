@@ -8,13 +8,13 @@ from jetnormal.errors import InputError
 from jetnormal.evaluation import evaluate
 from jetnormal.evaluation.store import Estimate, ResultStore
 from jetnormal.networks.checkpoint import save_model
-from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
+from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 
 @pytest.fixture
 def estimations(monkeypatch):
     """Counts the clouds that an estimator is run on."""
-    from jetnormal.estimators import PatchEstimator
+    from jetnormal.estimators.patchwise import PatchEstimator
 
     calls = []
     run = PatchEstimator.__call__

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from jetnormal.estimators import pca_estimator
+from jetnormal.estimators.patchwise import pca_estimator
 from jetnormal.evaluation.clouds import BenchmarkCloud
 from jetnormal.evaluation.zangles import SAMPLE, measure_z_angles
 

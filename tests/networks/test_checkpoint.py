@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 
 from jetnormal.errors import InputError, ModelError
 from jetnormal.networks.checkpoint import load_model, load_tensors, packaged_names, resolve, save_model, save_tensors
-from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
+from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 CONFIG = PatchFitConfig(neighbors=16, width=0.125, order=2, light=True)
 

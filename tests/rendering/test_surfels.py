@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from jetnormal import Cloud, Mesh
-from jetnormal._open3d import import_open3d
 from jetnormal.rendering.camera import Camera, make_camera
 from jetnormal.rendering.light import develop
 from jetnormal.rendering.scene import cloud_scene, mesh_scene
 from jetnormal.rendering.surfels import see
+from jetnormal.support.open3d_loader import import_open3d
 
 needs_open3d = pytest.mark.skipif(import_open3d() is None, reason="Open3D cannot be loaded")
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from jetnormal.data.sources import LabeledCloud
 from jetnormal.errors import InputError
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.training.batches import AHEAD, Batch, PatchSampler, labeled_patches
-from jetnormal.training.datasets import LabeledCloud
 
 K = 20
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from jetnormal.data.sources import SyntheticSolids
 from jetnormal.errors import InputError, ModelError
 from jetnormal.geometry.pyramid import build_pyramid
 from jetnormal.networks.checkpoint import load_model
-from jetnormal.networks.cloudfit import CloudFit, CloudFitConfig
+from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig
 from jetnormal.training import cloudloop
 from jetnormal.training.cloudloop import CloudTrainOptions, learning_rate, loss_terms, train_cloudfit
-from jetnormal.training.datasets import SyntheticSolids
 
 TINY = CloudFitConfig(channels=(4, 4, 4), hidden=4, up_layers=(1, 1, 1), down_layers=(1, 1, 0))
 SOLIDS = SyntheticSolids(clouds_per_epoch=2, points=400)

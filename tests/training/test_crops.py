@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jetnormal.data.sources import LabeledCloud
 from jetnormal.training.crops import WINDOW, Crop, CropSampler, draw_crops
-from jetnormal.training.datasets import LabeledCloud
 
 
 class Spheres:

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import torch
 
+from jetnormal.data.sources import LabeledCloud
 from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.networks.checkpoint import load_model, load_tensors, save_tensors
-from jetnormal.networks.patchfit import PatchFit, PatchFitConfig
+from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 from jetnormal.training import loop
 from jetnormal.training.batches import PatchSampler
-from jetnormal.training.datasets import LabeledCloud
 from jetnormal.training.loop import TrainOptions, learning_rate, train, validate
 from jetnormal.training.run import Run
 

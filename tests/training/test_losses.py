@@ -6,8 +6,8 @@ import torch
 from torch.nn.functional import normalize
 
 from jetnormal.geometry.jet import Jet
-from jetnormal.networks.patchfit import PatchFitConfig, PatchPrediction
-from jetnormal.networks.ztransform import rotation_matrix, rotation_to_z
+from jetnormal.networks.patchfit.network import PatchFitConfig, PatchPrediction
+from jetnormal.networks.patchfit.ztransform import rotation_matrix, rotation_to_z
 from jetnormal.training.losses import (
     LossWeights,
     consistency_loss,

@@ -1,0 +1,1 @@
+"""Clouds to learn from and to measure on: data sources, sampling, corruption, benchmark folders."""

@@ -1,0 +1,104 @@
+"""Constructive solid geometry: primitives added to and cut from each other, with exact normals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.data.solids.primitives import Floats, Primitive
+
+
+@dataclass(frozen=True)
+class Part:
+    """A primitive at its place in a solid.
+
+    Attributes:
+        primitive: The shape.
+        operation: Whether it is added to or cut from the parts before it.
+        translation: (3,).
+        rotation: (3, 3).
+        scale: Positive, the same along all axes.
+    """
+
+    primitive: Primitive
+    operation: Literal["union", "difference"] = "union"
+    translation: Floats = field(default_factory=lambda: np.zeros(3))
+    rotation: Floats = field(default_factory=lambda: np.eye(3))
+    scale: float = 1.0
+
+    @property
+    def area(self) -> float:
+        return self.scale**2 * self.primitive.area
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """See `Primitive.sample`."""
+        points, normals = self.primitive.sample(count, rng)
+        return self.scale * points @ self.rotation.T + self.translation, normals @ self.rotation.T
+
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """Which of the points (N, 3) lie inside, (N,)."""
+        return self.primitive.implicit((points - self.translation) @ self.rotation / self.scale) < 0
+
+
+class Solid:
+    """Parts that are added and cut in their order; the first one is always added."""
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        """Two parts must not share a piece of surface, which random places make sure of."""
+        self.parts = tuple(parts)
+        areas = np.array([part.area for part in parts])
+        self._shares = areas / areas.sum()
+        trial = 4096
+        # Roughly the share of the parts' surfaces that is left as the surface of the solid.
+        self.exposed_share = len(self._surviving(trial, np.random.default_rng(0))[0]) / trial
+
+    def contains(self, points: Floats) -> NDArray[np.bool_]:
+        """Which of the points (N, 3) lie inside, (N,)."""
+        return self._combined(np.stack([part.contains(points) for part in self.parts]))
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """Returns `count` points uniform over the surface, (count, 3), and their outward unit normals.
+
+        Raises:
+            ValueError: Nothing of the solid is left.
+        """
+        if self.exposed_share == 0:
+            raise ValueError("the solid has no surface: its parts are all cut away")
+        points, normals = np.empty((0, 3)), np.empty((0, 3))
+        while len(points) < count:
+            more = self._surviving(int((count - len(points)) / self.exposed_share * 1.02) + 256, rng)
+            points = np.concatenate([points, more[0]])
+            normals = np.concatenate([normals, more[1]])
+        return points[:count], normals[:count]
+
+    def _combined(self, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Membership in the solid, (N,), from membership in each part, (parts, N)."""
+        result = inside[0]
+        for part, mask in zip(self.parts[1:], inside[1:], strict=True):
+            result = result | mask if part.operation == "union" else result & ~mask
+        return result
+
+    def _surviving(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """Draws `count` points from the parts in random order and keeps those on the surface of the solid."""
+        kept = []
+        for own, share in enumerate(rng.multinomial(count, self._shares)):
+            points, normals = self.parts[own].sample(share, rng)
+            inside = np.zeros((len(self.parts), len(points)), dtype=bool)
+            for other, part in enumerate(self.parts):
+                if other != own:
+                    inside[other] = part.contains(points)
+            # A point of a part's surface is on the solid's if it matters there which side of the part one is
+            # on; where the inside of the part is outside of the solid, the part was cut and its normal turns.
+            ahead = self._combined(inside)
+            inside[own] = True
+            behind = self._combined(inside)
+            exposed = behind != ahead
+            sign = np.where(behind[exposed], 1.0, -1.0)
+            kept.append((points[exposed], normals[exposed] * sign[:, None]))
+        points, normals = (np.concatenate(arrays) for arrays in zip(*kept, strict=True))
+        order = rng.permutation(len(points))
+        return points[order], normals[order]

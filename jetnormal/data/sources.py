@@ -1,0 +1,264 @@
+"""Sources of clouds with known normals: PCPNet folders, folders of meshes and procedural solids.
+
+A source is a pure function: `source.cloud(epoch, index, seed)` is the same cloud whenever it is asked for,
+so that a resumed training sees the data it would have seen, and clouds may be made ahead in a thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.data.corruption import Surface, scan
+from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
+from jetnormal.data.solids.recipes import random_solid
+from jetnormal.errors import InputError, UsageError
+from jetnormal.formats.meshes import MESH_SUFFIXES
+from jetnormal.formats.pcpnet import cloud_names, read_cloud
+
+TRAINING_LIST = "trainingset_whitenoise.txt"
+VALIDATION_LIST = "validationset_whitenoise.txt"
+CLOUDS_PER_EPOCH = 24
+POINTS_PER_CLOUD = 100_000
+
+
+@dataclass(frozen=True)
+class LabeledCloud:
+    """Points with their true normals.
+
+    Attributes:
+        name: Where the cloud comes from, for messages.
+        points: (N, 3) float64.
+        normals: (N, 3) float64, outward unit normals of the clean surface.
+        queries: (Q,) int64 indices of the points to evaluate; None means all.
+    """
+
+    name: str
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    queries: NDArray[np.int64] | None = None
+
+
+class DataSource(Protocol):
+    """Labeled clouds by epoch and index."""
+
+    @property
+    def clouds_per_epoch(self) -> int:
+        """Indices run from 0 to this number."""
+        ...
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """The cloud at `index` of `epoch`; equal arguments give equal clouds."""
+        ...
+
+
+class PcpnetFolder:
+    """Clouds of a folder in PCPNet's layout: NAME.xyz, NAME.normals and, where there is one, NAME.pidx.
+
+    With a list file the clouds are those that it names, the same in each epoch. Without one they are all that
+    have normals, and each epoch draws a new corruption of each, as for a mesh.
+    """
+
+    def __init__(self, directory: Path | str, list_file: str | None = TRAINING_LIST) -> None:
+        """Finds the clouds; each is read when it is first asked for and kept.
+
+        Args:
+            directory: The folder. It is only read.
+            list_file: Name of the list in the folder, one NAME per line; None takes all clouds with normals.
+
+        Raises:
+            InputError: The list or a cloud that it names is missing, or there are no clouds.
+        """
+        self._directory = Path(directory)
+        self._augment = list_file is None
+        self.names = cloud_names(self._directory, list_file)
+        self._load = lru_cache(maxsize=None)(self._read)
+
+    @property
+    def clouds_per_epoch(self) -> int:
+        return len(self.names)
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`.
+
+        Raises:
+            InputError: A file of the cloud is unreadable or does not match the others.
+        """
+        cloud = self._load(self.names[index])
+        if not self._augment:
+            return cloud
+        rng = np.random.default_rng([seed, epoch, index])
+        return _drawn(cloud.name, _Subset(cloud), len(cloud.points), rng)
+
+    def _read(self, name: str) -> LabeledCloud:
+        return LabeledCloud(name, *read_cloud(self._directory, name))
+
+
+class MeshFolder:
+    """Clouds drawn anew in each epoch from the meshes of a folder, each mesh equally often."""
+
+    def __init__(
+        self, directory: Path | str, clouds_per_epoch: int = CLOUDS_PER_EPOCH, points: int = POINTS_PER_CLOUD
+    ) -> None:
+        """Finds the meshes; the 64 used last are kept in memory.
+
+        Raises:
+            InputError: There is no mesh in the folder.
+        """
+        self.paths = meshes_in(Path(directory))
+        if not self.paths:
+            raise InputError(f"{directory}: holds no meshes ({' '.join(MESH_SUFFIXES)})")
+        self.clouds_per_epoch = clouds_per_epoch
+        self._points = points
+        self._sampler = lru_cache(maxsize=64)(_load_sampler)
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`.
+
+        Raises:
+            InputError: The mesh cannot be used.
+        """
+        tour, stop = divmod(epoch * self.clouds_per_epoch + index, len(self.paths))
+        path = self.paths[np.random.default_rng([seed, tour]).permutation(len(self.paths))[stop]]
+        rng = np.random.default_rng([seed, epoch, index])
+        return _drawn(path.stem, self._sampler(path), self._points, rng)
+
+
+class SyntheticSolids:
+    """Clouds drawn anew in each epoch from random procedural solids."""
+
+    def __init__(self, clouds_per_epoch: int = CLOUDS_PER_EPOCH, points: int = POINTS_PER_CLOUD) -> None:
+        self.clouds_per_epoch = clouds_per_epoch
+        self._points = points
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`."""
+        rng = np.random.default_rng([seed, epoch, index])
+        return _drawn("solid", random_solid(rng), self._points, rng)
+
+
+class Mixture:
+    """Several sources as one: their clouds alternate in proportion to the weights.
+
+    An epoch of the mixture is as long as those of its sources together. Each source is walked through in its
+    own order, so that with a small weight its epoch spreads over several of the mixture's.
+    """
+
+    def __init__(self, sources: Sequence[DataSource], weights: Sequence[float] | None = None) -> None:
+        """Plans the turns of an epoch.
+
+        Args:
+            sources: At least one.
+            weights: One positive number per source; by default the sources' `clouds_per_epoch`.
+
+        Raises:
+            UsageError: There are no sources, the weights do not fit them, or one is too small for a turn.
+        """
+        self._sources = list(sources)
+        lengths = np.array([source.clouds_per_epoch for source in sources])
+        share = np.asarray(lengths if weights is None else weights, dtype=np.float64)
+        if len(sources) == 0 or share.shape != lengths.shape or not (share > 0).all():
+            raise UsageError("a mixture takes at least one source and one positive weight for each")
+        self.clouds_per_epoch = int(lengths.sum())
+        # Each turn goes to the source that is furthest behind its share.
+        self._turns: list[int] = []
+        taken = np.zeros(len(sources))
+        for turn in range(1, self.clouds_per_epoch + 1):
+            chosen = int(np.argmax(share / share.sum() * turn - taken))
+            taken[chosen] += 1
+            self._turns.append(chosen)
+        if not taken.all():
+            raise UsageError(f"a weight of the mixture is too small for a turn in {self.clouds_per_epoch} clouds")
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`."""
+        chosen = self._turns[index]
+        source = self._sources[chosen]
+        position = epoch * self._turns.count(chosen) + self._turns[:index].count(chosen)
+        own_epoch, own_index = divmod(position, source.clouds_per_epoch)
+        own_seed = int(np.random.SeedSequence([seed, chosen]).generate_state(1)[0])  # else corruptions would agree
+        return source.cloud(own_epoch, own_index, own_seed)
+
+
+def open_dataset(
+    paths: Sequence[Path | str],
+    *,
+    synthetic: bool = False,
+    list_file: str | None = None,
+    default_list: str = TRAINING_LIST,
+    weights: Sequence[float] | None = None,
+    clouds_per_epoch: int = CLOUDS_PER_EPOCH,
+    points: int = POINTS_PER_CLOUD,
+) -> DataSource:
+    """Opens folders of training data, each by what lies in it, as one source.
+
+    A folder with .normals files is a PCPNet folder: its clouds are those of `list_file`, else of
+    `default_list` where there is one, else all with normals, corrupted anew in each epoch.
+    Any other folder must hold meshes.
+
+    Args:
+        paths: Folders.
+        synthetic: Adds random procedural solids.
+        list_file: Name of the list in the PCPNet folders.
+        default_list: Name of the list where `list_file` is None.
+        weights: Share of each source in the mixture, in the order of `paths`, the solids last; by default as
+            many clouds as it has per epoch.
+        clouds_per_epoch: Clouds that a folder of meshes, and the solids, give per epoch.
+        points: Largest number of points of a cloud drawn from a mesh or a solid.
+
+    Raises:
+        InputError: A folder is missing or holds neither, or its list does not fit it.
+        UsageError: There is neither a folder nor `synthetic`, or the weights do not fit them.
+    """
+    if not paths and not synthetic:
+        raise UsageError("there is no training data: give a folder or ask for synthetic solids")
+    sources: list[DataSource] = []
+    for path in paths:
+        path = Path(path)
+        chosen = default_list if list_file is None and (path / default_list).is_file() else list_file
+        sources.append(_open_folder(path, chosen, clouds_per_epoch, points))
+    if synthetic:
+        sources.append(SyntheticSolids(clouds_per_epoch, points))
+    return sources[0] if len(sources) == 1 and weights is None else Mixture(sources, weights)
+
+
+def _open_folder(directory: Path, list_file: str | None, clouds_per_epoch: int, points: int) -> DataSource:
+    if not directory.is_dir():
+        raise InputError(f"{directory}: no such folder")
+    if any(directory.glob("*.normals")):
+        return PcpnetFolder(directory, list_file)
+    if meshes_in(directory):
+        return MeshFolder(directory, clouds_per_epoch, points)
+    raise InputError(f"{directory}: holds neither PCPNet clouds (.xyz with .normals) nor meshes")
+
+
+class _Subset:
+    """A labeled cloud as a surface: draws among its points without replacement, at most all of them."""
+
+    def __init__(self, cloud: LabeledCloud) -> None:
+        self._cloud = cloud
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        size = len(self._cloud.points)
+        drawn = rng.choice(size, min(count, size), replace=False)
+        return self._cloud.points[drawn], self._cloud.normals[drawn]
+
+
+def _drawn(name: str, surface: Surface, largest: int, rng: np.random.Generator) -> LabeledCloud:
+    points, normals, kind = scan(surface, largest, rng)
+    return LabeledCloud(f"{name}_{kind}", points, normals)
+
+
+def _load_sampler(path: Path) -> MeshSampler:
+    return MeshSampler(load_mesh(path))
+
+
+def meshes_in(directory: Path) -> list[Path]:
+    """The mesh files of a folder, by name."""
+    return sorted(path for path in directory.glob("*") if path.suffix.lower() in MESH_SUFFIXES)

@@ -1,0 +1,1 @@
+"""Points in, unoriented normals out: by patches or for the whole cloud at once."""

@@ -1,0 +1,72 @@
+"""What every estimator takes and gives, whatever it does in between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.support.report import Advance
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What an estimator says of Q queries.
+
+    Attributes:
+        normals: (Q, 3) float32 unit vectors of arbitrary sign; NaN where the neighbors are collinear or coincide.
+        rough: (Q, 3) float32 unit vectors before the last step: of the plane for `jet`, of the weighted jet for a
+            corrected network; their sign is that of the normals.
+        confidence: (Q,) float32 in [0, 1]: how far the last step agreed with the one before it, 1 - angle / 90
+            degrees between rough and final normal; for `pca`, 1 - 3 times the surface variation.
+        curvatures: (Q, 2) float32 principal curvatures, the larger first, in the inverse of the cloud's unit,
+            positive where the surface bends towards the normal; None for a plane.
+    """
+
+    normals: NDArray[np.float32]
+    rough: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    curvatures: NDArray[np.float32] | None
+
+    def __getitem__(self, rows: NDArray[np.int64]) -> Prediction:
+        """The prediction of the queries at (R,) rows."""
+        curvatures = None if self.curvatures is None else self.curvatures[rows]
+        return Prediction(self.normals[rows], self.rough[rows], self.confidence[rows], curvatures)
+
+
+def joined(parts: list[Prediction]) -> Prediction:
+    """One prediction of the queries of several."""
+
+    def join(name: str) -> Any:
+        arrays = [getattr(part, name) for part in parts]
+        return None if not arrays or arrays[0] is None else np.concatenate(arrays)
+
+    return Prediction(join("normals"), join("rough"), join("confidence"), join("curvatures"))
+
+
+class Estimator(Protocol):
+    """Points in, unoriented normals out."""
+
+    @property
+    def name(self) -> str:
+        """What the estimator is called, with its settings."""
+        ...
+
+    @property
+    def neighbors(self) -> int:
+        """Points in a patch; a smaller cloud gets patches of all its points."""
+        ...
+
+    def __call__(
+        self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
+    ) -> Prediction:
+        """Estimates normals.
+
+        Args:
+            points: (N, 3) finite coordinates, N >= 3.
+            queries: (Q,) indices of the points to estimate; None means all.
+            advance: called with the number of points just done.
+        """
+        ...

@@ -1,0 +1,170 @@
+"""Pictures of a cloud or a mesh in a file, and a page in which it turns."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal import formats
+from jetnormal.cloud import Cloud
+from jetnormal.errors import InputError, UsageError
+from jetnormal.formats import atomic
+from jetnormal.formats.meshes import MESH_SUFFIXES, read_mesh
+from jetnormal.formats.ply_header import read_header
+from jetnormal.mesh import Mesh
+from jetnormal.rendering.light import BACKGROUNDS
+from jetnormal.rendering.scene import COLORINGS, Scene, cloud_scene, mesh_scene
+from jetnormal.support.report import StageTimer
+
+SUPERSAMPLING = 2
+SIZES = (16, 8192)
+GAP = 0.03  # between views, of the size
+
+
+@dataclass(frozen=True)
+class PreviewOptions:
+    """How a cloud or a mesh is shown.
+
+    Attributes:
+        views: names in `rendering.camera.VIEWS`, AZIMUTH:ELEVATION in degrees, or "auto": from the side that was
+            scanned if it is one, else "iso". A picture has them side by side.
+        up: direction (3,) in the file's coordinates that views take as up.
+        size: pixels of the longer side of each view.
+        colors: "normals", "file" (its own), "plain", or "auto": a cloud by its normals, a mesh by its own colors, as
+            far as there are any. A picture has all views in each of them, a page has the first.
+        background: "white" or "dark".
+        force: whether existing files are overwritten.
+    """
+
+    views: tuple[str, ...] = ("auto",)
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    size: int = 1000
+    colors: tuple[str, ...] = ("auto",)
+    background: str = "white"
+    force: bool = False
+
+    def __post_init__(self) -> None:
+        from jetnormal.rendering.camera import view_direction
+
+        if not self.views or not self.colors:
+            raise UsageError("there must be a view and a coloring")
+        if not (np.isfinite(self.up).all() and np.any(self.up)):
+            raise UsageError("--up takes three finite numbers, not all of them zero")
+        for view in self.views:
+            view_direction(view, np.zeros((1, 3)))
+        if not SIZES[0] <= self.size <= SIZES[1]:
+            raise UsageError(f"the size is {SIZES[0]} to {SIZES[1]} pixels, not {self.size}")
+        for coloring in self.colors:
+            if coloring not in COLORINGS:
+                raise UsageError(f"colors {coloring!r}: choose from {', '.join(COLORINGS)}")
+        if self.background not in BACKGROUNDS:
+            raise UsageError(f"background {self.background!r}: choose from {', '.join(BACKGROUNDS)}")
+
+
+def preview_file(source: Path, picture: Path | None, page: Path | None, options: PreviewOptions) -> dict[str, Any]:
+    """Draws a cloud or a mesh.
+
+    Args:
+        source: a cloud, or a mesh: .obj, .stl, .off, .glb, .npz, or .ply with faces.
+        picture: the PNG file to write, or None.
+        page: the HTML file to write, or None.
+        options: how.
+
+    Returns:
+        A summary: input, picture, page, points (or vertices), faces (0 for a cloud), seconds (by stage).
+
+    Raises:
+        InputError: a file cannot be read or written, or there is nothing to draw.
+        UsageError: neither a picture nor a page is asked for.
+        ResourceError: the picture is of a mesh, and Open3D is not there.
+    """
+    if picture is None and page is None:
+        raise UsageError("give -o PICTURE.png or --html PAGE.html, or both")
+    for target, suffixes in ((picture, (".png",)), (page, (".html", ".htm"))):
+        if target is not None:
+            if target.suffix.lower() not in suffixes:
+                raise InputError(f"{target}: {target.suffix!r} is not {' or '.join(suffixes)}")
+            atomic.check_target(target, options.force)
+    timer = StageTimer()
+    with timer.stage("read"):
+        subject = _read(source)
+    try:
+        scenes = [_scene(subject, colors).turned_up(np.array(options.up)) for colors in options.colors]
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    if picture is not None:
+        from jetnormal.rendering.png import encode_png
+
+        with timer.stage("picture"):
+            content = encode_png(draw(scenes, options))
+        _write(picture, content, options.force)
+    if page is not None:
+        from jetnormal.rendering.page import encode_page
+
+        with timer.stage("page"):
+            content = encode_page(scenes[0], source.name, options.views[0], options.background)
+        _write(page, content, options.force)
+    return {
+        "input": str(source),
+        "picture": None if picture is None else str(picture),
+        "page": None if page is None else str(page),
+        "points": len(subject.vertices if isinstance(subject, Mesh) else subject),
+        "faces": len(subject.faces) if isinstance(subject, Mesh) else 0,
+        "seconds": {name: round(seconds, 3) for name, seconds in timer.seconds.items()},
+    }
+
+
+def draw(scenes: list[Scene], options: PreviewOptions) -> NDArray[np.uint8]:
+    """All views of all scenes side by side, (H, W, 3)."""
+    from jetnormal.rendering.camera import make_camera, view_direction
+    from jetnormal.rendering.light import develop
+    from jetnormal.rendering.surfels import see
+
+    images = []
+    for scene, view in itertools.product(scenes, options.views):
+        camera = make_camera(scene.points, view_direction(view, scene.normals), options.size * SUPERSAMPLING)
+        images.append(develop(see(scene, camera), camera, scene.radius, SUPERSAMPLING, options.background))
+    height = max(len(image) for image in images)
+    background = np.round(np.array(BACKGROUNDS[options.background]) * 255).astype(np.uint8)
+    tiles = []
+    for image in images:
+        tile = np.empty((height, image.shape[1], 3), dtype=np.uint8)
+        tile[:] = background
+        top = (height - len(image)) // 2
+        tile[top : top + len(image)] = image
+        tiles += [tile, np.broadcast_to(background, (height, round(GAP * options.size), 3))]
+    return np.concatenate(tiles[:-1], axis=1)
+
+
+def _scene(subject: Cloud | Mesh, coloring: str) -> Scene:
+    return mesh_scene(subject, coloring) if isinstance(subject, Mesh) else cloud_scene(subject, coloring)
+
+
+def _read(path: Path) -> Cloud | Mesh:
+    """The mesh in a file, or the cloud if it is one."""
+    suffix = path.suffix.lower()
+    if suffix in formats.CODECS and not (suffix == ".ply" and _has_faces(path)):
+        return formats.read(path)
+    if suffix not in MESH_SUFFIXES:
+        known = sorted({*formats.CODECS, *MESH_SUFFIXES})
+        raise InputError(f"{path}: unknown suffix {path.suffix!r}; supported are {' '.join(known)}")
+    return read_mesh(path)
+
+
+def _has_faces(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            elements = read_header(stream, path).elements
+    except OSError:
+        return False  # reading the cloud tells what is wrong
+    return any(element.name == "face" and element.count for element in elements)
+
+
+def _write(path: Path, content: bytes, overwrite: bool) -> None:
+    with atomic.atomic_write(path, overwrite=overwrite) as stream:
+        stream.write(content)

@@ -1,0 +1,1 @@
+"""CloudFit: the normals of a whole cloud from one graph network."""

@@ -1,0 +1,194 @@
+"""PatchFit: transform, weights, jet, correction (Du et al., CVPR 2023, fig. 3), assembled from a configuration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from torch import Tensor, nn
+
+from jetnormal.geometry.jet import MAX_ORDER, Jet, fit_jet
+from jetnormal.networks.patchfit.adafit import AdaFit
+from jetnormal.networks.patchfit.correction import NormalError
+from jetnormal.networks.patchfit.deepfit import DeepFit
+from jetnormal.networks.patchfit.graphfit import GraphFit
+from jetnormal.networks.patchfit.layers import PointLayer, full_precision
+from jetnormal.networks.patchfit.ztransform import QSTN, ZTransform, rotation_to_z
+
+
+@dataclass(frozen=True)
+class PatchFitConfig:
+    """What rebuilds a PatchFit network.
+
+    Attributes:
+        weights: the weight predictor: "deepfit", "adafit" or "graphfit".
+        neighbors: points in a patch.
+        order: order of the jet, 1 to 4.
+        transform: "ztransform" (the paper's) or "qstn" (the baseline's).
+        correction: whether the normal error estimation follows the fit.
+        width: factor on every channel count.
+        transform_width: factor on the transform's channel counts; None takes `width`.
+        feature_transform: whether the weight predictor has PointNet's feature transform.
+        light: whether the z-direction transform is its light form.
+        offsets: whether the weight predictor also moves the points before the fit; "deepfit" with offsets is the
+            single-scale AdaFit.
+
+    Raises:
+        ValueError: if a number is out of range.
+    """
+
+    weights: str = "deepfit"
+    neighbors: int = 256
+    order: int = 3
+    transform: str = "ztransform"
+    correction: bool = True
+    width: float = 1.0
+    transform_width: float | None = None
+    feature_transform: bool = True
+    light: bool = False
+    offsets: bool = False
+
+    def __post_init__(self) -> None:
+        if self.neighbors < 3:
+            raise ValueError(f"a patch has 3 points or more, not {self.neighbors}")
+        if not 1 <= self.order <= MAX_ORDER:
+            raise ValueError(f"the order of a jet is 1 to {MAX_ORDER}, not {self.order}")
+        for width in (self.width, 1.0 if self.transform_width is None else self.transform_width):
+            if not (width > 0 and math.isfinite(width)):
+                raise ValueError(f"the width of a network is a positive number, not {width}")
+
+
+_PAPER = {  # as published, with both of the paper's additions
+    "deepfit": PatchFitConfig(),
+    "adafit": PatchFitConfig("adafit", neighbors=700, offsets=True),
+    "graphfit": PatchFitConfig("graphfit", neighbors=500, offsets=True),
+}
+
+
+def _small(config: PatchFitConfig) -> PatchFitConfig:
+    return replace(config, width=0.5, transform_width=0.25, feature_transform=False, light=True)
+
+
+CONFIGS = {
+    "paper": _PAPER,
+    # What two CPU cores train in hours; GraphFit on half of its points, for its edges cost most.
+    "small": {
+        "deepfit": _small(_PAPER["deepfit"]),
+        "adafit": _small(_PAPER["adafit"]),
+        "graphfit": replace(_small(_PAPER["graphfit"]), neighbors=256),
+    },
+}
+
+
+@dataclass(frozen=True)
+class PatchPrediction:
+    """What the network says of B patches; normals are unit vectors in the patch frame, their signs arbitrary.
+
+    Attributes:
+        rotation: (B, 3, 3) z-direction transform, `points @ rotation` has the normal near z.
+        weights: (B, m) of the m nearest points, those that are fitted.
+        jet: the fit, in the rotated frame.
+        rough: (B, 3) normals of the fit.
+        refined: (B, 3) corrected normals; `rough` itself without a correction.
+        rough_neighbors, refined_neighbors: (B, m, 3) normals at the fitted points, if asked for.
+        feature_transform: (B, F, F) matrices or None.
+        offsets: (B, m, 3) by which the fitted points were moved, in the rotated frame, or None.
+    """
+
+    rotation: Tensor
+    weights: Tensor
+    jet: Jet
+    rough: Tensor
+    refined: Tensor
+    rough_neighbors: Tensor | None
+    refined_neighbors: Tensor | None
+    feature_transform: Tensor | None
+    offsets: Tensor | None
+
+
+PREDICTORS: dict[str, type[DeepFit | AdaFit | GraphFit]] = {"deepfit": DeepFit, "adafit": AdaFit, "graphfit": GraphFit}
+
+
+class PatchFit(nn.Module):
+    """A patch network: rotate the patch, weigh its points, fit a jet, correct its normal."""
+
+    architecture = "patchfit"  # in model files
+
+    def __init__(self, config: PatchFitConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width if config.transform_width is None else config.transform_width
+        transforms = {"ztransform": lambda: ZTransform(width, config.light), "qstn": lambda: QSTN(width)}
+        self.transform = transforms[config.transform]()
+        predictor = PREDICTORS[config.weights]
+        self.weights = predictor(config.width, config.feature_transform, config.offsets)
+        self.correction = NormalError(self.weights.channels) if config.correction else None
+
+    def forward(self, points: Tensor, iterations: int = 1, neighbors: bool = False) -> PatchPrediction:
+        """Predicts the normals of patches.
+
+        Args:
+            points: (B, k, 3) patches in their own frame (`geometry.patches`).
+            iterations: from the second on, the normal found replaces the learned transform: the patch is turned until
+                it meets z, and weights, fit and correction run again (the paper's iterative estimation).
+            neighbors: whether to predict the neighbors' normals too, for training.
+        """
+        prediction = self._fit(points, self.transform(points), neighbors)
+        for _ in range(iterations - 1):
+            prediction = self._fit(points, rotation_to_z(prediction.refined), neighbors)
+        return prediction
+
+    def _fit(self, points: Tensor, rotation: Tensor, neighbors: bool) -> PatchPrediction:
+        with full_precision(points):
+            turned = points @ rotation
+        weighting = self.weights(turned)
+        fitted = turned[:, : weighting.weights.shape[1]]
+        if weighting.offsets is not None:
+            fitted = fitted + weighting.offsets
+        with full_precision(points):
+            jet = fit_jet(fitted, weighting.weights, self.config.order)
+        normal = jet.normal
+        rough = refined = _turned_back(normal[:, None], rotation)[:, 0]
+        rough_neighbors = refined_neighbors = None
+        if neighbors:
+            at_neighbors = jet.normals_at(fitted[..., :2])
+            rough_neighbors = refined_neighbors = _turned_back(at_neighbors, rotation)
+        if self.correction is not None:
+            corrected = self.correction(weighting.features, normal)
+            refined = _turned_back(corrected[:, None], rotation)[:, 0]
+            if neighbors:
+                corrected = self.correction.neighbors(weighting.features, at_neighbors)
+                refined_neighbors = _turned_back(corrected, rotation)
+        return PatchPrediction(
+            rotation=rotation,
+            weights=weighting.weights,
+            jet=jet,
+            rough=rough,
+            refined=refined,
+            rough_neighbors=rough_neighbors,
+            refined_neighbors=refined_neighbors,
+            feature_transform=weighting.feature_transform,
+            offsets=weighting.offsets,
+        )
+
+    def for_inference(self) -> PatchFit:
+        """Evaluation mode, without gradients, batch normalisation folded into the linear maps; not to be saved again.
+
+        Returns itself.
+        """
+        self.eval().requires_grad_(False)
+        for module in self.modules():
+            if isinstance(module, PointLayer):
+                module.fold()
+        return self
+
+
+def _turned_back(normals: Tensor, rotation: Tensor) -> Tensor:
+    """(B, n, 3) normals of the rotated frame in the patch frame."""
+    with full_precision(rotation):
+        return normals @ rotation.transpose(1, 2)
+
+
+def parameter_count(module: nn.Module) -> int:
+    """Number of trainable values."""
+    return sum(p.numel() for p in module.parameters() if p.requires_grad)

@@ -1,0 +1,1 @@
+"""The signs of normals: which side of the surface each one shows."""

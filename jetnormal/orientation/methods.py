@@ -1,0 +1,163 @@
+"""Signs of normals: directions stay bit for bit what they were, only signs change.
+
+`global` and `mst` need nothing but the points, `viewpoint` and `up` use what is known about the scan, `none` leaves
+the signs alone. No other looks at the signs that come in: scrambling those changes nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jetnormal.geometry.neighbors import distinct
+from jetnormal.orientation.agreement import Surface, couplings, patch_forest, patches, revote, spread_signs
+from jetnormal.orientation.outward import turn_outward
+from jetnormal.orientation.spanning_tree import mend
+from jetnormal.orientation.visibility import extremes_look_inward, looks_down
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Method = Literal["global", "mst", "viewpoint", "up", "none"]
+
+OUTLIER_RADIUS = 5.0  # neighborhood radius, over the median of all
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """Normals with chosen signs.
+
+    Attributes:
+        normals: (N, 3) of the dtype that came in.
+        confidence: (N,) float32 in [0, 1], how sure each sign is: by the agreement of neighbors, patches and views;
+            for "viewpoint" and "up", the cosine between the normal and the sight line; 0 where no sign was chosen.
+        open: (N,) whether "global" found a point on a surface that has no outside, and turned that up.
+    """
+
+    normals: NDArray[Any]
+    confidence: NDArray[np.float32]
+    open: Bools
+
+
+def orient(
+    points: NDArray[Any], normals: NDArray[Any], method: Method = "global", *, viewpoint: ArrayLike | None = None
+) -> NDArray[Any]:
+    """Gives normals consistent signs; `choose_signs` tells more about them.
+
+    Args, Raises: as `choose_signs`.
+
+    Returns:
+        (N, 3) new array of the normals' dtype.
+    """
+    return choose_signs(points, normals, method, viewpoint=viewpoint).normals
+
+
+def choose_signs(
+    points: NDArray[Any], normals: NDArray[Any], method: Method = "global", *, viewpoint: ArrayLike | None = None
+) -> Orientation:
+    """Gives normals consistent signs.
+
+    Rows with a non-finite point or normal, or a zero normal, stay as they are and do not take part.
+
+    Args:
+        points: (N, 3) coordinates, of any offset.
+        normals: (N, 3) directions of any length and sign.
+        method: how signs are chosen:
+            "global": outward, for closed surfaces; the wall of a cavity looks into the cavity. A component that is
+            seen from both sides (a terrain, a wall) is turned up.
+            "mst": consistent over a spanning tree of each component, whose extreme points then look out; one without
+            an outside is turned up. An inner shell looks out of itself.
+            "viewpoint": towards `viewpoint`.
+            "up": n_z > 0, for airborne scans; where n_z is 0, n_y > 0, and where that is 0 too, n_x > 0.
+            "none": as they are.
+        viewpoint: for the method "viewpoint", the sensor's (x, y, z) in the frame of the points, or one for each
+            point, (N, 3). A normal at a right angle to its sight line, or without one, is turned up.
+
+    Raises:
+        ValueError: shapes do not match, or the method is unknown or lacks its viewpoint.
+    """
+    if method not in get_args(Method):
+        raise ValueError(f"unknown orientation method {method!r}: choose one of {', '.join(get_args(Method))}")
+    if points.ndim != 2 or points.shape[1] != 3 or points.shape != normals.shape:
+        raise ValueError(f"points {points.shape} and normals {normals.shape} must both be (N, 3)")
+    sights = _sights(points, viewpoint) if method == "viewpoint" else np.zeros((0, 3))
+    result = Orientation(normals.copy(), np.zeros(len(points), np.float32), np.zeros(len(points), dtype=bool))
+    if method == "none":
+        return result
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = np.linalg.norm(normals.astype(np.float64), axis=1)
+    rows = np.flatnonzero(np.isfinite(points).all(axis=1) & np.isfinite(length) & (length > 0))
+    used = normals[rows] / length[rows, None]
+    flip = looks_down(used)  # the common start, whatever signs came in
+    used[flip] *= -1
+    if method == "viewpoint":
+        cosine = np.einsum("nd,nd->n", used, sights[rows])
+        flip ^= cosine < 0
+        result.confidence[rows] = np.abs(cosine)
+    elif method == "up":
+        result.confidence[rows] = used[:, 2]
+    elif len(rows):
+        turned, result.confidence[rows], result.open[rows] = _spread(points[rows].astype(np.float64), used, method)
+        flip ^= turned
+    result.normals[rows[flip]] *= -1
+    return result
+
+
+def default_method(source_viewpoint: tuple[float, ...] | None) -> Method:
+    """The method where the user names none: a file that says where its scanner stood decides, else "global".
+
+    Args:
+        source_viewpoint: a PCD file's VIEWPOINT, position and then quaternion, or None. The origin is what
+            writers put there when they know nothing.
+    """
+    if source_viewpoint is None:
+        return "global"
+    position = np.asarray(source_viewpoint[:3], dtype=np.float64)
+    return "viewpoint" if np.isfinite(position).all() and position.any() else "global"
+
+
+def _sights(points: NDArray[Any], viewpoint: ArrayLike | None) -> Floats:
+    """Unit vectors (N, 3) from points to where they were seen from; 0 where that is unknown."""
+    known = np.asarray(np.nan if viewpoint is None else viewpoint, dtype=np.float64)
+    if known.shape not in ((3,), points.shape) or (known.ndim == 1 and not np.isfinite(known).all()):
+        raise ValueError(f"the method 'viewpoint' needs three finite coordinates, or {points.shape} of them")
+    with np.errstate(invalid="ignore"):
+        sights = known - points
+        length = np.linalg.norm(sights, axis=1, keepdims=True)
+    return np.divide(sights, length, out=np.zeros(points.shape), where=np.isfinite(length) & (length > 0))
+
+
+def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Floats, Bools]:
+    """Which unit normals (N, 3) to flip, how sure that is (N,), and which points are on open surfaces; N >= 1."""
+    points = points - (points.min(axis=0) + points.max(axis=0)) / 2  # far from the origin, projections would be coarse
+    first, copy_of = distinct(points)
+    surface = Surface(points[first], normals[first])
+    if method == "global":
+        sure, is_open = turn_outward(surface)
+    else:
+        sure, is_open = _grow_tree(surface), np.zeros(len(first), dtype=bool)
+    # Copies of a point follow the first one. In the graph, many of them would see nothing but each other.
+    return np.einsum("nd,nd->n", normals, surface.normals[copy_of]) < 0, sure[copy_of], is_open[copy_of]
+
+
+def _grow_tree(surface: Surface) -> Floats:
+    """Turns normals consistently along a spanning tree of patches; returns how far neighbors agree (N,), 0 to 1.
+
+    Hoppe et al., "Surface reconstruction from unorganized points" (1992), with patches of points for points: what
+    joins two patches is the sum of all edges between them, which one wrong edge cannot turn over. Then branches turn
+    that contradict the rest.
+    """
+    patch = patches(surface)
+    coupling = couplings(surface, patch)
+    forest = patch_forest(coupling)
+    flips, tree = spread_signs(forest)
+    surface.turn(mend(forest, coupling, flips)[patch])
+    sure = revote(surface)
+    component = tree[patch]
+    stray = surface.radius > OUTLIER_RADIUS * np.median(surface.radius)
+    crowd = np.bincount(component, ~stray)
+    stray &= crowd[component] > 0
+    surface.turn(extremes_look_inward(surface, component, stray)[component])
+    return sure

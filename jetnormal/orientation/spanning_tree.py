@@ -1,0 +1,90 @@
+"""Second thoughts about a spanning forest of signs: all couplings, not the forest's alone, judge its branches."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.orientation.agreement import Forest, rooted
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+MENDED = 64  # branches at most
+
+
+def mend(forest: Forest, coupling: Any, flips: Bools) -> Bools:
+    """Turns branches, the worst first, that contradict the rest of their tree more than they agree with it.
+
+    A branch hangs on one edge: if that edge is wrong, so is all behind it, and the other couplings of the branch with
+    the rest say so.
+
+    Args:
+        forest: over M nodes.
+        coupling: W, a symmetric sparse (M, M) matrix: how far nodes agree, negative where they contradict each other.
+        flips: (M,) which nodes are flipped.
+
+    Returns:
+        (M,) which nodes are to be flipped; no fewer couplings agree.
+    """
+    from scipy.sparse import triu
+
+    order, parent, _ = rooted(forest)
+    levels = _levels(order, parent)
+    pairs = triu(coupling, 1).tocoo()
+    meeting = _meeting_points(parent, levels, pairs.row.astype(np.int64), pairs.col.astype(np.int64))
+    signs = np.where(flips, -1.0, 1.0)
+    least = -1e-9 * float(np.abs(pairs.data).sum())
+    for _ in range(MENDED):
+        agreement = pairs.data * signs[pairs.row] * signs[pairs.col]
+        across = sum(np.bincount(ends, agreement, len(parent)) for ends in (pairs.row, pairs.col))
+        across -= 2 * np.bincount(meeting, agreement, len(parent))  # both ends are in the branch
+        for level in reversed(levels[1:]):
+            np.add.at(across, parent[level], across[level])
+        worst = int(np.argmin(across[:-1]))
+        if not across[worst] < least:
+            break
+        signs[_branch(worst, parent, levels)] *= -1
+    return signs < 0
+
+
+def _levels(order: Ints, parent: Ints) -> list[Ints]:
+    """The nodes, in an order from the top down, by their distance from the root."""
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    above = rank[parent[order]]  # never falls: the children of a level follow it in one run
+    starts = [0, 1]
+    while starts[-1] < len(order):
+        starts.append(int(np.searchsorted(above, starts[-1])))
+    return [order[start:end] for start, end in pairwise(starts)]
+
+
+def _meeting_points(parent: Ints, levels: list[Ints], a: Ints, b: Ints) -> Ints:
+    """The lowest common ancestors of nodes a (E,) and b (E,), by jumps of powers of two."""
+    depth = np.empty(len(parent), dtype=np.int64)
+    for number, level in enumerate(levels):
+        depth[level] = number
+    jumps = [parent]
+    while 1 << len(jumps) < len(levels):
+        jumps.append(jumps[-1][jumps[-1]])
+    deeper = depth[a] >= depth[b]
+    a, b = np.where(deeper, a, b), np.where(deeper, b, a)
+    gap = depth[a] - depth[b]
+    for power, jump in enumerate(jumps):
+        a = np.where(gap >> power & 1, jump[a], a)
+    for jump in reversed(jumps):
+        apart = jump[a] != jump[b]
+        a, b = np.where(apart, jump[a], a), np.where(apart, jump[b], b)
+    return np.where(a == b, a, parent[a])
+
+
+def _branch(node: int, parent: Ints, levels: list[Ints]) -> Ints:
+    """A node and all below it."""
+    inside = np.zeros(len(parent), dtype=bool)
+    inside[node] = True
+    for level in levels[1:]:
+        inside[level] |= inside[parent[level]]
+    return np.flatnonzero(inside[:-1])

@@ -1,0 +1,184 @@
+"""What can be seen of a surface from far away: whoever sees a closed surface stands outside of it.
+
+The votes of patches for the side that infinity sees are those of Takayama et al., "A simple method for correcting facet
+orientations in polygon meshes based on ray casting" (2014), with orthographic depth maps for rays. What a near
+place sees is told by Katz et al., "Direct visibility of point sets" (2007).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.orientation.agreement import Surface
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+VIEWS = 48
+PIXEL_SPACINGS = 2.5  # side of a pixel: it holds six points on average, so that few let the eye through
+DEPTH_SPACINGS = 0.75  # a point this far below the topmost one of its pixel is still seen
+MIN_COSINE = 0.3  # a look along the surface tells nothing
+MAX_OCTAVES = 6  # of the spacing, above its median
+MAX_PIXELS = 2048  # along a side of a picture
+EXTREME_SHARE = 0.01  # of a component's points vote, in each direction
+MIN_PURITY = 0.2  # votes for outward and inward that nearly cancel mean that there is no outside
+FIELD_OF_VIEW = 0.8  # of a depth camera: the tangent of half its angle is smaller
+STRAYS = 0.01  # of the points may lie outside of it, where it moved a little, and as many nearer or farther
+DEPTH_RANGE = 2.0  # it sees near and far things; heights over the sea are all alike
+SAMPLE = 10_000  # points tell how much a place sees
+SEES_MORE = 0.01  # of the points: what chance does not explain
+FLIP_RADII = 1000.0  # radius of the flip, over that of the points: what is larger sees through surfaces
+
+
+@dataclass(frozen=True)
+class Votes:
+    """For each of R points, sums over the directions D that it is seen from.
+
+    Attributes:
+        outward: of n.D.
+        total: of |n.D|.
+        upward: of n.D where D points up.
+    """
+
+    outward: Floats
+    total: Floats
+    upward: Floats
+
+
+def look(surface: Surface, rows: Ints) -> Votes:
+    """Looks at some points (R,) of a surface, as if there were no others, from all around.
+
+    Sparse points cover pictures with large pixels, dense ones pictures with small pixels; all pictures hide.
+    """
+    points, normals = surface.points[rows], surface.normals[rows]
+    sizes = _sizes(points, surface.spacing[rows])
+    pictures = [(size, np.flatnonzero(sizes == size)) for size in np.unique(sizes)]
+    outward, total, upward = np.zeros((3, len(rows)))
+    for up in directions()[: VIEWS // 2]:
+        across, depth = _project(points, up)
+        cosine = _along(normals, up)
+        above = below = np.abs(cosine) > MIN_COSINE
+        for size, own in pictures:
+            row, column = (across / (PIXEL_SPACINGS * size)).astype(np.int64)
+            pixel = row * (column.max() + 1) + column
+            top = np.full(pixel.max() + 1, -np.inf)
+            bottom = -top
+            np.maximum.at(top, pixel[own], depth[own])
+            np.minimum.at(bottom, pixel[own], depth[own])
+            slack = np.maximum(DEPTH_SPACINGS * size, surface.roughness[rows])
+            above = above & (depth >= top[pixel] - slack)
+            below = below & (depth <= bottom[pixel] + slack)
+        outward += cosine * above - cosine * below
+        total += np.abs(cosine) * above + np.abs(cosine) * below
+        upward += cosine * above
+    return Votes(outward, total, upward)
+
+
+def extremes_look_inward(surface: Surface, component: Ints, stray: Bools) -> Bools:
+    """Which components (C,) have normals that look inward at the points that are farthest out; an open sheet, down.
+
+    In every direction D, a component's farthest points vote n.D, which is positive for an outward normal
+    whatever the shape: one point in 100, so that outliers near the surface are outvoted.
+
+    Args:
+        surface: N points.
+        component: (N,) the component of each.
+        stray: (N,) points that have no vote; no component consists of them alone.
+    """
+    order = np.argsort(component, kind="stable")
+    order = order[~stray[order]]
+    label, points, normals = component[order], surface.points[order], surface.normals[order]
+    sizes = np.bincount(label)
+    starts = np.cumsum(sizes) - sizes
+    voters = np.ceil(EXTREME_SHARE * sizes).astype(np.int64)
+    score, total = np.zeros((2, len(sizes)))
+    points -= (points.min(axis=0) + points.max(axis=0)) / 2
+    for direction in directions():
+        height = _along(points, direction)
+        least = np.maximum.reduceat(height, starts)
+        for c in np.flatnonzero(voters > 1):
+            own = height[starts[c] : starts[c] + sizes[c]]
+            least[c] = np.partition(own, -voters[c])[-voters[c]]
+        extreme = np.flatnonzero(height >= least[label])
+        vote = _along(normals[extreme], direction)
+        count = np.bincount(label[extreme])  # more than the voters where a flat face is the extreme
+        score += np.bincount(label[extreme], vote) / count
+        total += np.bincount(label[extreme], np.abs(vote)) / count
+    sheet = np.abs(score) < MIN_PURITY * total
+    return np.where(sheet, looks_down(np.add.reduceat(normals, starts, axis=0)), score < 0)
+
+
+def taken_from_origin(points: Floats) -> bool:
+    """Whether a depth camera at the origin seems to have taken the points (N, 3).
+
+    They lie within its field of view, along z as is usual in a camera's own frame, some far and some near, and it sees
+    more of them than any place as far away on their other side, since surfaces hide what is behind them.
+    """
+    depth = np.abs(points[:, 2])
+    near, far = np.quantile(depth, [STRAYS, 1 - STRAYS])
+    ahead = abs(int(np.sign(points[:, 2]).sum())) == len(points)
+    on_axis = (points[:, :2].min(axis=0) < 0).all() and (points[:, :2].max(axis=0) > 0).all()
+    outside = np.mean(np.abs(points[:, :2]).max(axis=1) > FIELD_OF_VIEW * depth)
+    if not ahead or not on_axis or outside > STRAYS or far < DEPTH_RANGE * near:
+        return False
+    sample = points[np.random.default_rng(0).permutation(len(points))[:SAMPLE]]
+    middle = sample.mean(axis=0)
+    around = middle + directions() * np.linalg.norm(middle)
+    behind = around[_along(directions(), middle) > 0]
+    return _visible_share(sample, np.zeros(3)) > max(_visible_share(sample, place) for place in behind) + SEES_MORE
+
+
+def _visible_share(points: Floats, place: Floats) -> float:
+    """Share of points (N, 3) that can be seen from a place: those on the hull of all, turned inside out around it."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    sights = points - place
+    length = np.maximum(np.linalg.norm(sights, axis=1, keepdims=True), 1e-300)
+    flipped = sights * (2 * FLIP_RADII * length.max() / length - 1)
+    try:
+        hull = ConvexHull(np.vstack([flipped, np.zeros(3)]))
+    except QhullError:  # all in one plane with the place
+        return 0.0
+    return (len(hull.vertices) - 1) / len(points)
+
+
+def looks_down(normals: Floats) -> Bools:
+    """Which normals (N, 3) have a negative z, or y where z is zero, or x where both are."""
+    x, y, z = normals.T
+    return np.where(z != 0, z, np.where(y != 0, y, x)) < 0
+
+
+def directions() -> Floats:
+    """Unit vectors (VIEWS, 3): half a Fibonacci lattice of the sphere, z > 0, and their opposites."""
+    half = VIEWS // 2
+    i = np.arange(half)
+    z = (i + 0.5) / half
+    angle = i * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - z * z)
+    upper = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+    return np.concatenate([upper, -upper])
+
+
+def _sizes(points: Floats, spacing: Floats) -> Floats:
+    """The spacing (N,) that each point's pixels are made for: the median, or more by a power of two."""
+    unit = max(float(np.median(spacing)), float(np.ptp(points, axis=0).max()) / (PIXEL_SPACINGS * MAX_PIXELS))
+    if unit == 0:  # a single point
+        return np.ones(len(points))
+    return unit * 2.0 ** np.clip(np.ceil(np.log2(np.maximum(spacing / unit, 1))), 0, MAX_OCTAVES)
+
+
+def _project(points: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """Coordinates of points across a direction (2, N), from 0 on, and along it (N,)."""
+    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    side /= np.linalg.norm(side)
+    across = np.stack([_along(points, side), _along(points, np.cross(direction, side))])
+    return across - across.min(axis=1, keepdims=True), _along(points, direction)
+
+
+def _along(vectors: Floats, direction: Floats) -> Floats:
+    """Products with a direction. BLAS would round them differently on each number of threads."""
+    return vectors[:, 0] * direction[0] + vectors[:, 1] * direction[1] + vectors[:, 2] * direction[2]

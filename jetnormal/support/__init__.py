@@ -1,0 +1,1 @@
+"""Small services for every other package: devices and threads, compilation, reports."""

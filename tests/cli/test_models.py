@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+import torch
+
+from jetnormal.cli.app import main
+from jetnormal.evaluation import cost as complexity
+from jetnormal.networks.checkpoint import load_tensors, packaged_names, save_model, save_tensors
+from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig
+from jetnormal.networks.patchfit.layers import PointLayer
+from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig, parameter_count
+
+TINY = PatchFitConfig("graphfit", neighbors=32, width=0.125, light=True, offsets=True)
+
+
+@pytest.fixture
+def trained(tmp_path):
+    torch.manual_seed(0)
+    save_model(tmp_path / "own.safetensors", PatchFit(TINY), {"patches": 7, "rmse": 12.5})
+    return tmp_path / "own.safetensors"
+
+
+def run(monkeypatch, *arguments) -> int:
+    monkeypatch.setattr(sys, "argv", ["jetnormal", "models", *map(str, arguments)])
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    return leaving.value.code or 0
+
+
+def test_packaged_models_are_listed(monkeypatch, capsys):
+    assert run(monkeypatch, "--no-measure") == 0
+    shown = capsys.readouterr().out
+    assert all(f"{name}: " in shown for name in packaged_names())
+    assert "ms/point" not in shown
+
+
+def test_a_model_file_tells_what_it_costs(trained, monkeypatch, capsys):
+    assert run(monkeypatch, trained, "--device", "cpu", "--threads", "1", "--json") == 0
+    (found,) = json.loads(capsys.readouterr().out)["models"]
+    assert found["name"] == str(trained)
+    assert found["architecture"] == "GraphFit + z-transform + correction, 32 neighbors, order 3, 0.125 of the channels"
+    assert found["parameters"] == parameter_count(PatchFit(TINY))
+    assert found["megabytes"] == trained.stat().st_size / 1e6
+    assert found["rmse"] == 12.5
+    assert 0 < found["ms_per_point"] < 1000
+    assert run(monkeypatch, trained, "--no-measure") == 0
+    assert "12.50" in capsys.readouterr().out
+
+
+def test_files_without_an_error_have_none(trained, monkeypatch, capsys):
+    tensors, description = load_tensors(trained)
+    del description["training"]
+    save_tensors(trained, tensors, description)
+    assert run(monkeypatch, trained, "--no-measure", "--json") == 0
+    (found,) = json.loads(capsys.readouterr().out)["models"]
+    assert found["rmse"] is None and found["ms_per_point"] is None
+
+
+def test_the_papers_networks_are_listed(monkeypatch, capsys):
+    assert run(monkeypatch, "--complexity", "--no-measure", "--json") == 0
+    found = json.loads(capsys.readouterr().out)["models"]
+    assert [one["parameters"] for one in found] == [
+        3_530_245, 4_174_024, 4_259_336, 3_734_468, 4_378_247, 4_463_559,
+    ]  # fmt: skip
+    sizes = [13.53, 16.14, 16.38, 14.26, 16.85, 17.09]  # the paper's MB are 2^20 bytes
+    assert [one["megabytes"] / 1.048576 for one in found] == pytest.approx(sizes, rel=0.01)
+    operations = [one["gflop_per_point"] for one in found]
+    assert operations[2] > 3 * operations[1] > 3 * operations[0]
+    assert operations[5] > 3 * operations[3]
+    assert run(monkeypatch, "--complexity", "--no-measure") == 0
+    assert "GraphFit + z-transform + correction, 500 neighbors, order 3" in capsys.readouterr().out
+
+
+def test_operations_are_those_of_the_matrix_products():
+    class Single(PatchFit):
+        def __init__(self):
+            super().__init__(TINY)
+            self.layer = PointLayer(3, 5)
+
+        def forward(self, points, iterations=1, neighbors=False):
+            return self.layer(points)
+
+    assert complexity.gflop_per_patch(Single().for_inference()) == pytest.approx(2e-9 * 32 * 3 * 5)
+
+
+def test_operations_of_a_cloud_are_those_of_its_points(monkeypatch):
+    network = CloudFit(CloudFitConfig((8, 8, 8), 4, 2, (0, 0, 0), (0, 0, 0))).for_inference()
+
+    def fit(encoding, queries):
+        return torch.ones(len(queries), 3) @ torch.ones(3, 5)
+
+    monkeypatch.setattr(network, "encode", lambda pyramid: torch.ones(7, 11) @ torch.ones(11, 13))
+    monkeypatch.setattr(network, "fit", fit)
+    per_cloud = 2e-9 * 7 * 11 * 13 / complexity.CLOUD_POINTS
+    assert complexity.gflop_of_cloud(network) == pytest.approx(2e-9 * 3 * 5 + per_cloud)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"), [(["--complexity", "x"], 2), (["absent"], 4), (["deepfit-small", "--device", "tpu"], 2)]
+)
+def test_failures_have_their_exit_codes(arguments, code, monkeypatch, capsys):
+    assert run(monkeypatch, *arguments) == code
+    assert capsys.readouterr().out == ""

@@ -1,0 +1,110 @@
+"""The whole-cloud estimator: blocks without seams, small, degenerate and far-away clouds."""
+
+import numpy as np
+import pytest
+import torch
+
+from jetnormal.estimators import whole_cloud as cloud_estimator
+from jetnormal.estimators.whole_cloud import CloudEstimator
+from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig
+
+
+@pytest.fixture(scope="module")
+def estimator() -> CloudEstimator:
+    torch.manual_seed(0)
+    config = CloudFitConfig(channels=(8, 8, 8), hidden=4, up_layers=(1, 1, 1), down_layers=(1, 1, 0))
+    return CloudEstimator("tiny", CloudFit(config).for_inference())
+
+
+def wavy(count: int, seed: int = 0) -> np.ndarray:
+    xy = np.random.default_rng(seed).random((count, 2)) * [3, 1]
+    return np.column_stack([xy, 0.1 * np.sin(5 * xy[:, 0])])
+
+
+def degrees(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arcsin(np.linalg.norm(np.cross(a, b), axis=1).clip(0, 1)))
+
+
+def test_normals_are_units_and_follow_the_surface(estimator: CloudEstimator):
+    points = wavy(3000)
+    prediction = estimator(points)
+    true = np.column_stack([-0.5 * np.cos(5 * points[:, 0]), np.zeros(3000), np.ones(3000)])
+    true /= np.linalg.norm(true, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.linalg.norm(prediction.normals, axis=1), 1, atol=1e-5)
+    assert np.median(degrees(prediction.rough, true)) < 5  # untrained
+    assert ((prediction.normals * prediction.rough).sum(axis=1) >= 0).all()
+    assert ((prediction.confidence >= 0) & (prediction.confidence <= 1)).all()
+
+
+def test_curvatures_of_a_sphere_are_those_of_its_radius(estimator: CloudEstimator):
+    normals = np.random.default_rng(0).normal(size=(8000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    prediction = estimator(2 * normals)
+    assert prediction.curvatures is not None
+    outward = np.sign((prediction.normals * normals).sum(axis=1))
+    np.testing.assert_allclose(np.median(prediction.curvatures * outward[:, None], axis=0), -0.5, atol=0.1)
+
+
+def test_queries_get_what_they_get_among_all(estimator: CloudEstimator):
+    points = wavy(2000)
+    queries = np.array([5, 1999, 5, 700])
+    every, some = estimator(points), estimator(points, queries)
+    np.testing.assert_allclose(some.normals, every.normals[queries], atol=1e-5)
+    np.testing.assert_allclose(some.confidence, every.confidence[queries], atol=1e-5)
+
+
+def test_blocks_leave_no_seams(estimator: CloudEstimator, monkeypatch: pytest.MonkeyPatch):
+    points = wavy(12_000)
+    whole = estimator(points)
+    monkeypatch.setattr(cloud_estimator, "WHOLE", 3000)
+    monkeypatch.setattr(cloud_estimator, "CORE", 3000)
+    monkeypatch.setattr(cloud_estimator, "HALO_SHARE", 10.0)
+    blocks = estimator(points)
+    assert degrees(whole.normals, blocks.normals).max() < 0.1
+    queries = np.array([11_000, 3, 6000])
+    np.testing.assert_allclose(estimator(points, queries).normals, blocks.normals[queries], atol=1e-4)
+
+
+def test_a_dense_region_beside_a_block_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(0)
+    sparse, dense = rng.random((1000, 3)) * [1, 1, 0], rng.random((50_000, 3)) * [0.05, 1, 0] + [1, 0, 0]
+    core = np.arange(1000)
+    rows = cloud_estimator._with_halo(np.concatenate([sparse, dense]), core, None)
+    assert len(rows) == 1000 + cloud_estimator.HALO_SHARE * 1000
+    assert len(np.unique(rows)) == len(rows)
+    assert set(core) <= set(rows)
+
+
+def test_the_order_of_the_points_does_not_matter(estimator: CloudEstimator):
+    points = wavy(1500)
+    order = np.random.default_rng(3).permutation(1500)
+    assert degrees(estimator(points).normals[order], estimator(points[order]).normals).max() < 0.05
+
+
+def test_far_from_the_origin_nothing_is_lost(estimator: CloudEstimator):
+    points = np.round(wavy(1500) * 2**20) / 2**20  # so that moving them is exact
+    moved = points + np.array([4_500_000.0, 5_600_000.0, 300.0])
+    assert degrees(estimator(points).normals, estimator(moved).normals).max() < 0.05
+
+
+@pytest.mark.parametrize("count", [3, 4, 10, 17, 50])
+def test_small_clouds_get_unit_normals(estimator: CloudEstimator, count: int):
+    normals = estimator(np.random.default_rng(count).random((count, 3))).normals
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+
+
+def test_a_plane_is_exact(estimator: CloudEstimator):
+    points = np.random.default_rng(0).random((500, 3)) * [1, 1, 0]
+    np.testing.assert_allclose(np.abs(estimator(points).normals[:, 2]), 1, atol=1e-4)
+
+
+def test_collinear_points_have_no_normal(estimator: CloudEstimator):
+    prediction = estimator(np.column_stack([np.linspace(0, 1, 200), np.zeros((200, 2))]))
+    assert np.isnan(prediction.normals).all()
+    assert (prediction.confidence == 0).all()
+
+
+def test_a_scan_of_dense_lines_has_normals(estimator: CloudEstimator):
+    x, y = np.meshgrid(np.linspace(0, 1, 400), np.linspace(0, 1, 12))
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    assert np.abs(estimator(points).normals[:, 2]).min() > 0.99

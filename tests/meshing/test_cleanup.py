@@ -1,0 +1,109 @@
+"""Cutting and cleaning meshes, asserted on a grid and on a cube."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jetnormal.mesh import Mesh
+from jetnormal.meshing import cleanup as surface
+
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+CUBE_FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+     [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+
+
+def grid(count: int = 11) -> Mesh:
+    """The unit square in count x count vertices."""
+    axis = np.linspace(0, 1, count)
+    vertices = np.stack([*np.meshgrid(axis, axis), np.zeros((count, count))], axis=-1).reshape(-1, 3)
+    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()[:, None]
+    return Mesh(vertices, np.concatenate([np.add(corner, [0, 1, count]), np.add(corner, [1, count + 1, count])]))
+
+
+def area(mesh: Mesh) -> float:
+    return float(np.linalg.norm(mesh.area_vectors(), axis=1).sum())
+
+
+def test_a_cube_is_watertight_and_an_open_or_inconsistent_one_is_not():
+    assert surface.is_watertight(Mesh(CUBE, CUBE_FACES))
+    assert not surface.is_watertight(Mesh(CUBE, CUBE_FACES[1:]))
+    assert not surface.is_watertight(Mesh(CUBE, np.r_[CUBE_FACES[1:], CUBE_FACES[:1, ::-1]]))
+    assert not surface.is_watertight(Mesh(CUBE, np.zeros((0, 3), dtype=np.int64)))
+
+
+@pytest.mark.parametrize("threshold", [0.0, 0.31, 0.5, 0.99])
+def test_clipping_cuts_faces_along_the_threshold(threshold):
+    mesh = grid()
+    kept = surface.cleaned(surface.clip(mesh, mesh.vertices[:, 0], threshold))
+    assert area(kept) == pytest.approx(1 - threshold)
+    assert kept.vertices[:, 0].min() == pytest.approx(threshold)
+    assert (kept.area_vectors()[:, 2] >= 0).all()  # still wound the same way
+    columns = np.unique(np.round(kept.vertices[:, 0], 9))
+    assert len(kept.vertices) <= 11 * len(columns) + 10  # neighbors share the vertices on the cut
+
+
+def test_clipping_aslant_keeps_the_area_of_the_polygon():
+    mesh = grid()
+    assert area(surface.clip(mesh, mesh.vertices @ [1, 1, 0], 1.0)) == pytest.approx(0.5)
+    assert area(surface.clip(mesh, mesh.vertices @ [1, 1, 0], 3.0)) == 0
+
+
+def test_cleaning_merges_vertices_and_drops_what_is_degenerate_doubled_or_loose():
+    mesh = grid(4)
+    soup = Mesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(mesh.faces.size).reshape(-1, 3))
+    spoiled = Mesh(
+        np.r_[soup.vertices, [[9.0, 9, 9], [0.5, 0.5, 0]]],
+        np.r_[soup.faces, [[0, 0, 1]], soup.faces[:1], [[0, 1, 0]]],
+    )
+    clean = surface.cleaned(spoiled)
+    assert len(clean.vertices) == 16 and len(clean.faces) == 18
+    assert area(clean) == pytest.approx(1)
+
+
+def test_a_face_on_a_line_is_degenerate():
+    mesh = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 1, 3]]))
+    clean = surface.cleaned(mesh)
+    assert len(clean.faces) == 1 and len(clean.vertices) == 3
+
+
+def test_specks_go_and_what_many_points_belong_to_stays():
+    far = Mesh(np.r_[CUBE, CUBE * 0.1 + 5, CUBE + 10], np.r_[CUBE_FACES, CUBE_FACES + 8, CUBE_FACES + 16])
+    rng = np.random.default_rng(0)
+    points = np.r_[rng.random((500, 3)), rng.random((20, 3)) * 0.1 + 5, rng.random((500, 3)) + 10]
+    kept = surface.without_specks(far, points)
+    assert surface.component_labels(kept).max() == 1
+    assert len(kept.vertices) == 16 and kept.vertices.max() == 11
+    assert len(surface.without_specks(far, points[:20]).faces) == 12  # of a tiny cloud, the largest stays
+
+
+def test_a_gap_in_the_points_is_bridged_by_the_surface_there():
+    mesh = grid(101)
+    points = grid(41).vertices
+    points = points[(points[:, 0] < 0.3) | (points[:, 0] > 0.7)]
+    gap, radius = 0.45, 0.05  # the eighth neighbor beside the gap, in a grid with spacing 0.025, is 0.05 away
+    share = surface.gap_share(mesh, surface.remoteness(mesh.vertices, points))
+    assert share == pytest.approx(gap - 2 * surface.GAP_RADII * radius, abs=0.03)
+    assert surface.gap_share(mesh, surface.remoteness(mesh.vertices, grid(41).vertices)) == 0
+
+
+def test_uneven_density_is_no_gap():
+    sparse, dense = grid(41).vertices, grid(201).vertices
+    points = np.r_[sparse[sparse[:, 0] >= 0.3], dense[dense[:, 0] < 0.3]]
+    mesh = grid(101)
+    assert surface.gap_share(mesh, surface.remoteness(mesh.vertices, points)) < surface.OPEN_SHARE
+
+
+@pytest.mark.parametrize("count", [11, 40])
+def test_the_spacing_of_a_grid_is_found(count):
+    assert surface.typical_spacing(grid(count).vertices) == pytest.approx(1 / (count - 1), rel=0.15)
+
+
+def test_values_are_carried_exactly_at_points_and_between_them_within_their_range():
+    points = grid(11).vertices
+    values = points[:, :1] * 2
+    assert np.allclose(surface.carried(values, points, points), values, atol=1e-3)
+    between = surface.carried(values, points, grid(31).vertices)
+    assert np.abs(between - grid(31).vertices[:, :1] * 2).max() < 0.11

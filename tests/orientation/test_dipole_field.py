@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jetnormal.orientation.dipole_field import DipoleField
+
+
+@pytest.fixture
+def sphere():
+    normals = np.random.default_rng(0).normal(size=(20_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return 5 + 2 * normals, normals
+
+
+def test_the_indicator_of_a_sphere_is_one_inside_and_zero_outside(sphere):
+    points, normals = sphere
+    field = DipoleField(points, normals * (4 * np.pi * 2**2 / len(points)), 64)
+    assert field.at(5 + 1.6 * normals) == pytest.approx(1, abs=0.1)
+    assert field.at(5 + 2.4 * normals) == pytest.approx(0, abs=0.1)
+    assert np.median(field.at(points)) == pytest.approx(0.5, abs=0.05)
+
+
+def test_the_indicator_falls_outward_and_rises_where_a_normal_is_wrong(sphere):
+    points, normals = sphere
+    wrong = np.arange(len(points)) % 50 == 0
+    turned = normals * np.where(wrong, -1, 1)[:, None]
+    drop = DipoleField(points, turned * (4 * np.pi * 2**2 / len(points)), 64).drop(points, turned)
+    assert ((drop < 0) == wrong).all()
