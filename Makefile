@@ -13,7 +13,7 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: demo test setup
+.PHONY: demo format test setup
 
 demo: $(STAMP)
 	@mkdir -p demo
@@ -22,8 +22,13 @@ demo: $(STAMP)
 		--up=-0.05,-0.85,-0.46 --views=-15:20 --colors file,normals,plain --size 620 --background dark
 	@echo "The cloud with normals: demo/milk_normals.ply    A picture of it: demo/milk_normals.png"
 
+format: $(STAMP)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
 test: $(STAMP)
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
 

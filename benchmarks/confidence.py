@@ -40,9 +40,7 @@ def collect(data: Path, model: str) -> dict[str, tuple[NDArray[np.float64], NDAr
     }
 
 
-def reliability(
-    confidence: NDArray[np.float64], errors: NDArray[np.float64]
-) -> list[tuple[int, float, float]]:
+def reliability(confidence: NDArray[np.float64], errors: NDArray[np.float64]) -> list[tuple[int, float, float]]:
     """For each bin of confidence: points, mean confidence, share of errors below 10 degrees."""
     number = np.minimum((confidence * BINS).astype(int), BINS - 1)
     inside = [number == index for index in range(BINS)]

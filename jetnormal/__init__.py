@@ -13,6 +13,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from jetnormal._version import __version__
+
 if TYPE_CHECKING:
     from jetnormal.cloud import Cloud
     from jetnormal.evaluation import evaluate
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
     from jetnormal.mesh import Mesh
     from jetnormal.networks.checkpoint import load_model
     from jetnormal.orientation.methods import orient
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Cloud",

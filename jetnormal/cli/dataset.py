@@ -16,9 +16,7 @@ def dataset(
     meshes: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of meshes (.ply .obj .off .stl .npz), a shape each.")
     ] = None,
-    synthetic: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Number of procedural solids, a shape each.")
-    ] = 0,
+    synthetic: Annotated[int, typer.Option(min=0, metavar="N", help="Number of procedural solids, a shape each.")] = 0,
     points: Annotated[int, typer.Option(min=3, metavar="N", help="Points of each cloud.")] = 100_000,
     queries: Annotated[
         int, typer.Option(min=1, metavar="N", help="Points of each cloud in its .pidx, at most.")

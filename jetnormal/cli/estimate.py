@@ -39,9 +39,7 @@ def estimate(
     viewpoint: Viewpoint = None,
     viewpoint_attribute: ViewpointAttribute = None,
     curvature: Annotated[bool, typer.Option("--curvature", help="Also write the curvatures.")] = False,
-    confidence: Annotated[
-        bool, typer.Option("--confidence", help="Also write each normal's confidence.")
-    ] = False,
+    confidence: Annotated[bool, typer.Option("--confidence", help="Also write each normal's confidence.")] = False,
     sign_confidence: Annotated[
         bool, typer.Option("--sign-confidence", help="Also write how sure each sign is.")
     ] = False,

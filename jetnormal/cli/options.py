@@ -34,14 +34,10 @@ ViewpointAttribute = Annotated[
     Any, typer.Option(parser=_parse_names, metavar="X,Y,Z", help="Attributes that hold this position for each point.")
 ]
 Device = Annotated[str, typer.Option(metavar="auto|cpu|cuda[:N]", help="Where the network runs.")]
-Threads = Annotated[
-    int | None, typer.Option(min=1, metavar="T", help="CPU threads.", show_default="all cores")
-]
+Threads = Annotated[int | None, typer.Option(min=1, metavar="T", help="CPU threads.", show_default="all cores")]
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show errors only.")]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Show debug messages, and tracebacks of errors.")
-]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show debug messages, and tracebacks of errors.")]
 
 
 def set_verbosity(quiet: bool, verbose: bool) -> None:

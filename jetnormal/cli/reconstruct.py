@@ -33,9 +33,7 @@ def reconstruct(
             show_default="none if closed, else where the points end",
         ),
     ] = None,
-    recompute: Annotated[
-        bool, typer.Option("--recompute", help="Estimate normals even if INPUT has some.")
-    ] = False,
+    recompute: Annotated[bool, typer.Option("--recompute", help="Estimate normals even if INPUT has some.")] = False,
     model: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="What estimates normals, as in jetnormal estimate.")
     ] = "auto",

@@ -57,9 +57,7 @@ def train(
     ] = None,
     validation: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Clouds or meshes to validate on.", show_default="from --data, else held out"
-        ),
+        typer.Option(metavar="DIR", help="Clouds or meshes to validate on.", show_default="from --data, else held out"),
     ] = None,
     validation_list: Annotated[
         str | None,
@@ -135,15 +133,9 @@ def train(
         float | None,
         typer.Option(min=0, metavar="F", help="Factor of the z-direction loss.", show_default="2, or 0 for qstn"),
     ] = None,
-    lambda_consistency: Annotated[
-        float, typer.Option(min=0, metavar="F", help="Of the neighbors' normals.")
-    ] = 0.25,
-    lambda_sparsity: Annotated[
-        float, typer.Option(min=0, metavar="F", help="Of -log w, times the one before.")
-    ] = 0.2,
-    lambda_regularisation: Annotated[
-        float, typer.Option(min=0, metavar="F", help="Of the feature transform.")
-    ] = 0.1,
+    lambda_consistency: Annotated[float, typer.Option(min=0, metavar="F", help="Of the neighbors' normals.")] = 0.25,
+    lambda_sparsity: Annotated[float, typer.Option(min=0, metavar="F", help="Of -log w, times the one before.")] = 0.2,
+    lambda_regularisation: Annotated[float, typer.Option(min=0, metavar="F", help="Of the feature transform.")] = 0.1,
     lambda_offsets: Annotated[float, typer.Option(min=0, metavar="F", help="Of the squared offsets.")] = 0.1,
     bfloat16: Annotated[bool, typer.Option("--bfloat16", help="Multiply matrices in bfloat16: faster.")] = False,
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of data, order and initial weights.")] = 1,
@@ -182,6 +174,7 @@ def train(
             raise UsageError(f"--{foreign.replace('_', '-')} is no option of {model}: leave it out")
     from jetnormal.data.sources import VALIDATION_LIST, open_dataset
     from jetnormal.support.device import resolve_device, torch_threads
+
     open_source = partial(open_dataset, clouds_per_epoch=clouds_per_epoch, points=points_per_cloud)
     source = open_source(data or [], synthetic=synthetic, weights=weights, list_file=list_file)
     held_out = None

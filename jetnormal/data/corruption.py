@@ -37,9 +37,7 @@ DENSE_FACTOR = 4  # thinned clouds are drawn from this many times as many points
 class Surface(Protocol):
     """Something to draw points from: a mesh, a solid or a dense cloud."""
 
-    def sample(
-        self, count: int, rng: np.random.Generator, /
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def sample(self, count: int, rng: np.random.Generator, /) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Returns points (count, 3) and outward unit normals (count, 3)."""
         ...
 

@@ -49,7 +49,7 @@ class CloudEstimator:
     def __call__(
         self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
     ) -> Prediction:
-        """See `prediction.Estimator`."""
+        """See `estimators.base.Estimator`."""
         queries = np.arange(len(points)) if queries is None else queries
         blocks = list(_blocks(points, np.arange(len(points)), len(points) if len(points) <= WHOLE else CORE))
         block_of = np.empty(len(points), dtype=np.int32)
@@ -105,9 +105,7 @@ class CloudEstimator:
         )
 
 
-def _blocks(
-    points: NDArray[np.float64], rows: NDArray[np.int64], largest: int
-) -> Iterator[NDArray[np.int64]]:
+def _blocks(points: NDArray[np.float64], rows: NDArray[np.int64], largest: int) -> Iterator[NDArray[np.int64]]:
     """Halves the (n,) rows of a cloud across the longest side of their box until none has more than `largest`."""
     if len(rows) <= largest:
         yield rows

@@ -103,9 +103,7 @@ def _z_angles(model: ModelResult) -> NDArray[np.float32]:
     return np.concatenate(found, axis=1)
 
 
-def _draw_errors(
-    panel: Any, angles: NDArray[np.float32], errors: NDArray[np.float32], label: str, color: str
-) -> None:
+def _draw_errors(panel: Any, angles: NDArray[np.float32], errors: NDArray[np.float32], label: str, color: str) -> None:
     """Mean and quartiles of the error in each bin of the angle that holds enough points."""
     bins = (angles // Z_BIN).astype(int)
     used = [bin for bin in range(int(Z_LIMIT // Z_BIN)) if (bins == bin).sum() >= Z_LEAST]

@@ -142,12 +142,12 @@ def evaluate(
 
     Args:
         data: folder in PCPNet's layout: NAME.xyz, NAME.normals and, where not all points count, NAME.pidx.
-        models: names or files, with settings as in "jet:k=122,order=2" (see `estimators.make_estimator`), or
+        models: names or files, with settings as in "jet:k=122,order=2" (see `estimators.patchwise.make_estimator`), or
             estimators.
         list_file: name of the list in the folder, one NAME per line; None takes `testset_all.txt` where there is
             one, else all clouds with normals.
         all_points: whether all points count, whatever .pidx says.
-        orient: "none", or how signs are chosen (`geometry.orient`), which are then scored, too. Signs spread from
+        orient: "none", or how signs are chosen (`orientation.methods`), which are then scored, too. Signs spread from
             point to point, so that the normals of all points are estimated.
         results: folder that keeps the normals of models given by name, and gives them back when nothing that they
             depend on has changed; the seconds are those of the first time.

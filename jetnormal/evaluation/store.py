@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import jetnormal
+from jetnormal._version import __version__
 from jetnormal.errors import InputError
 from jetnormal.formats.atomic import atomic_write
 from jetnormal.support.report import logger
@@ -55,7 +55,7 @@ class ResultStore:
 
     def path(self, cloud: str, facts: dict[str, Any]) -> Path:
         """Where the estimate lies, or would lie, that `facts`, plain values with "model" among them, lead to."""
-        text = json.dumps(facts | {"version": jetnormal.__version__}, sort_keys=True)
+        text = json.dumps(facts | {"version": __version__}, sort_keys=True)
         model = re.sub(r"[^\w.,=-]+", "_", facts["model"])[-60:]
         return self._folder / f"{cloud}.{model}.{hashlib.sha256(text.encode()).hexdigest()[:16]}.npz"
 

@@ -28,9 +28,7 @@ def angles(estimated: NDArray[Any], true: NDArray[Any], *, oriented: bool = Fals
     """
     estimated, true = _directions(estimated), _directions(true)
     if estimated.shape != true.shape:
-        raise ValueError(
-            f"{estimated.shape} estimated normals cannot be compared with {true.shape} true ones"
-        )
+        raise ValueError(f"{estimated.shape} estimated normals cannot be compared with {true.shape} true ones")
     if np.isnan(true).any():
         raise ValueError("a true normal is zero or not finite")
     sine = np.linalg.norm(np.cross(estimated, true), axis=1)

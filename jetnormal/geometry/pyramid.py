@@ -76,9 +76,7 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
     return pyramid
 
 
-def _other_neighbors(
-    points: NDArray[np.float64], threads: int | None
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def _other_neighbors(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """(n, 16) nearest other points and their distances; where there are fewer, the farthest is repeated."""
     k = min(NEIGHBORS + 1, len(points))
     found, distances = NeighborIndex(points, threads=threads).query(points, k)

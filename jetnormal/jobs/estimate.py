@@ -1,6 +1,6 @@
 """The main job: a cloud in, the same cloud with oriented unit normals out.
 
-    finite, distinct points -> estimator -> signs -> normals and what else was asked for
+finite, distinct points -> estimator -> signs -> normals and what else was asked for
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ class EstimateOptions:
 
     Attributes:
         model: "auto" (the default network), a packaged network, "pca", "jet", or a model file; settings may follow
-            a colon (`estimators.make_estimator`).
+            a colon (`estimators.patchwise.make_estimator`).
         k: neighbors in a patch; None takes the model's.
         order: of the jet, for "jet".
         iterations: of a network: from the second on, each normal found replaces the learned z-direction.
-        orient: "auto", "global", "mst", "viewpoint", "up" or "none" (`geometry.orient`). "auto" takes the viewpoint,
-            given or in the file, and "global" without one.
+        orient: "auto", "global", "mst", "viewpoint", "up" or "none" (`orientation.methods`). "auto" takes the
+            viewpoint, given or in the file, and "global" without one.
         viewpoint: the sensor's position in the cloud's coordinates.
         viewpoint_attribute: names of three attributes that hold the sensor's position for each point.
         curvature: whether to add the attributes curvature (mean), curvature_max and curvature_min.
-        confidence: whether to add the attribute confidence (`estimators.Prediction`).
-        sign_confidence: whether to add the attribute sign_confidence (`geometry.orient.Orientation`).
+        confidence: whether to add the attribute confidence (`estimators.base.Prediction`).
+        sign_confidence: whether to add the attribute sign_confidence (`orientation.methods.Orientation`).
         batch_size: patches at a time; None takes the estimator's.
         device: "auto", "cpu", "cuda" or "cuda:N".
         threads: CPU threads; None for all cores.
@@ -127,9 +127,7 @@ def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[
         raise InputError(f"{source}: {error}") from error
     busy = timer.seconds["estimate"] + timer.seconds["orient"]
     with timer.stage("write"):
-        warnings = facts["warnings"] + formats.write(
-            result, target, encoding=options.encoding, overwrite=options.force
-        )
+        warnings = facts["warnings"] + formats.write(result, target, encoding=options.encoding, overwrite=options.force)
     return {
         "input": str(source),
         "output": str(target),
@@ -189,9 +187,7 @@ def estimate_cloud(
     full_normals = _spread(normals.astype(np.float64), copies, rows, len(cloud))
     found = _attributes(prediction, orientation, options)
     warnings += [f"attribute {name!r} of the input is replaced" for name in found if name in cloud.attributes]
-    attributes = cloud.attributes | {
-        name: _spread(values, copies, rows, len(cloud)) for name, values in found.items()
-    }
+    attributes = cloud.attributes | {name: _spread(values, copies, rows, len(cloud)) for name, values in found.items()}
     valid = int(np.isfinite(full_normals).all(axis=1).sum())
     warnings += _gaps(len(cloud) - len(rows), len(rows) - valid)
     source = cloud.source
@@ -235,9 +231,7 @@ def _suited_to(count: int, estimator: Estimator, options: EstimateOptions) -> tu
     return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
 
 
-def _spread(
-    values: NDArray[Any], copies: NDArray[np.int64], rows: NDArray[np.int64], count: int
-) -> NDArray[Any]:
+def _spread(values: NDArray[Any], copies: NDArray[np.int64], rows: NDArray[np.int64], count: int) -> NDArray[Any]:
     """Values of the distinct points as values of all rows of the cloud, NaN where there are none."""
     full = np.full((count, *values.shape[1:]), np.nan, dtype=values.dtype)
     full[rows] = values[copies]

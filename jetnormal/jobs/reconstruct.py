@@ -1,6 +1,6 @@
 """From a cloud to a mesh.
 
-    normals, from the file or estimated -> Poisson surface -> trimmed where it is open -> cleaned -> colored
+normals, from the file or estimated -> Poisson surface -> trimmed where it is open -> cleaned -> colored
 """
 
 from __future__ import annotations

@@ -72,9 +72,7 @@ def z_direction_loss(rotation: Tensor, normals: Tensor) -> Tensor:
     return turned[:, :2].square().sum(1).clamp_min(1e-16).sqrt().mean()
 
 
-def total_loss(
-    prediction: PatchPrediction, neighbor_normals: Tensor, factors: LossWeights
-) -> dict[str, Tensor]:
+def total_loss(prediction: PatchPrediction, neighbor_normals: Tensor, factors: LossWeights) -> dict[str, Tensor]:
     """All terms and their weighted sum, "loss" (eq. 12).
 
     Args:
@@ -90,11 +88,7 @@ def total_loss(
         "consistency": consistency_loss(prediction, neighbor_normals, factors.sparsity),
         "z_direction": z_direction_loss(prediction.rotation, normals),
     }
-    loss = (
-        terms["normal"]
-        + factors.consistency * terms["consistency"]
-        + factors.z_direction * terms["z_direction"]
-    )
+    loss = terms["normal"] + factors.consistency * terms["consistency"] + factors.z_direction * terms["z_direction"]
     if prediction.feature_transform is not None:
         terms["regularisation"] = orthogonality_loss(prediction.feature_transform)
         loss = loss + factors.regularisation * terms["regularisation"]

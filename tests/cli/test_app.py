@@ -105,9 +105,7 @@ finally:
 def test_importing_the_package_imports_nothing_heavy():
     modules = ("cloud", "errors", "support.report", "formats", "cli.app")
     imports = "; ".join(f"import jetnormal.{module}" for module in modules)
-    result = python(
-        f"{imports}; import sys; print({{'torch', 'scipy', 'open3d', 'plyfile'}} & set(sys.modules))"
-    )
+    result = python(f"{imports}; import sys; print({{'torch', 'scipy', 'open3d', 'plyfile'}} & set(sys.modules))")
     assert result.stdout == "set()\n", result.stderr
 
 

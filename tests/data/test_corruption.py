@@ -27,9 +27,7 @@ def test_noise_has_the_given_deviation_relative_to_the_diagonal(points, kind):
     sigma = 0.012 * 13
     np.testing.assert_allclose(moved.std(axis=0), sigma, rtol=0.02)
     np.testing.assert_allclose(moved.mean(axis=0), 0, atol=0.02 * sigma)
-    beyond = (
-        np.abs(moved) > np.sqrt(3) * sigma
-    ).mean()  # 8.3 % of a Gaussian, nothing of a uniform distribution
+    beyond = (np.abs(moved) > np.sqrt(3) * sigma).mean()  # 8.3 % of a Gaussian, nothing of a uniform distribution
     assert beyond == pytest.approx(0.0833 if kind == "gaussian" else 0.0, abs=0.005)
 
 

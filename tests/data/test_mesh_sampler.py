@@ -154,15 +154,11 @@ def write_off(path):
 
 def write_obj(path):
     rows = ["v " + " ".join(map(str, v)) for v in CUBE_VERTICES]
-    return write_text(
-        path, "\n".join([*rows, *("f " + " ".join(map(str, f + 1)) for f in CUBE_FACES)]) + "\n"
-    )
+    return write_text(path, "\n".join([*rows, *("f " + " ".join(map(str, f + 1)) for f in CUBE_FACES)]) + "\n")
 
 
 def write_ply(path):
-    header = (
-        "ply\nformat ascii 1.0\nelement vertex 8\nproperty double x\nproperty double y\nproperty double z\n"
-    )
+    header = "ply\nformat ascii 1.0\nelement vertex 8\nproperty double x\nproperty double y\nproperty double z\n"
     header += "element face 12\nproperty list uchar int vertex_indices\nend_header"
     rows = [header, *(" ".join(map(str, v)) for v in CUBE_VERTICES)]
     return write_text(path, "\n".join([*rows, *("3 " + " ".join(map(str, f)) for f in CUBE_FACES)]) + "\n")

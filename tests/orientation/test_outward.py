@@ -56,9 +56,7 @@ def box(rng, density, low, high):
 def drilled_block(rng, density):
     """A step of two coplanar levels with three blind holes, whose walls and bottoms are part of the surface."""
     centers, radius, depth = np.array([[0.5, 0.5], [1.1, 0.4], [1.6, 0.7]]), 0.15, 0.4
-    points, normals = joined(
-        [box(rng, density, (0, 0, 0), (2, 1, 0.5)), box(rng, density, (0, 1, 0), (2, 1.6, 0.25))]
-    )
+    points, normals = joined([box(rng, density, (0, 0, 0), (2, 1, 0.5)), box(rng, density, (0, 1, 0), (2, 1.6, 0.25))])
     y, z = points.T[1:]
     hidden = (y == 1) & (z <= 0.25)  # where the two boxes touch
     above = (np.linalg.norm(points[:, None, :2] - centers, axis=2) < radius).any(axis=1) & (z == 0.5)

@@ -185,9 +185,7 @@ def test_the_total_is_the_weighted_sum_of_the_paper():
     torch.testing.assert_close(terms["consistency"], consistency_loss(given, normals, 0.2))
     torch.testing.assert_close(terms["z_direction"], z_direction_loss(given.rotation, normals[:, 0]))
     torch.testing.assert_close(terms["regularisation"], orthogonality_loss(given.feature_transform))
-    expected = (
-        terms["normal"] + 0.25 * terms["consistency"] + 0.1 * terms["regularisation"] + 2 * terms["z_direction"]
-    )
+    expected = terms["normal"] + 0.25 * terms["consistency"] + 0.1 * terms["regularisation"] + 2 * terms["z_direction"]
     torch.testing.assert_close(terms["loss"], expected)
 
     other = total_loss(given, normals, LossWeights(consistency=0.0, regularisation=0.0, z_direction=0.5))

@@ -39,9 +39,7 @@ class RoundedBox:
 
     # Which components of the normal vary over a group of faces: 3 pairs of flat faces, the quarter cylinders
     # around the edges along x, y and z, and the 8 sphere octants at the corners.
-    _MOVING = np.array(
-        [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0], [1, 1, 1]], dtype=bool
-    )
+    _MOVING = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0], [1, 1, 1]], dtype=bool)
 
     def __init__(self, half: ArrayLike, radius: float = 0.0) -> None:
         """Sets the sizes.

@@ -73,9 +73,7 @@ def _machined(rng: np.random.Generator) -> list[Part]:
     """A block or drum with bosses and with holes, slots and hollows cut, mostly at right angles."""
     parts = [Part(_block(rng))]
     for _ in range(rng.integers(0, 3)):
-        boss = Part(
-            _block(rng), "union", rng.uniform(-0.6, 0.6, 3), _quarter_turns(rng), rng.uniform(0.3, 0.7)
-        )
+        boss = Part(_block(rng), "union", rng.uniform(-0.6, 0.6, 3), _quarter_turns(rng), rng.uniform(0.3, 0.7))
         parts.append(boss)
     for _ in range(rng.integers(1, 5)):
         tilted = rng.random() < 0.3
@@ -132,9 +130,7 @@ def _block(rng: np.random.Generator) -> Primitive:
     if kind == 1:
         return RoundedBox(rng.uniform(0.15, 0.8, 3), fillet)
     if kind == 2:
-        return _frustum(
-            int(rng.integers(3, 9)), size, height, 1.0 if rng.random() < 0.5 else rng.uniform(0, 1)
-        )
+        return _frustum(int(rng.integers(3, 9)), size, height, 1.0 if rng.random() < 0.5 else rng.uniform(0, 1))
     if kind == 3:
         return Lathe(height, size)
     if kind == 4:
@@ -154,9 +150,7 @@ def _rock(rng: np.random.Generator) -> Primitive:
     """An irregular block with plane faces."""
     directions = rng.normal(size=(rng.integers(6, 16), 3))
     octahedron = np.concatenate([np.eye(3), -np.eye(3)])  # keeps the origin inside
-    corners = np.concatenate(
-        [directions / np.linalg.norm(directions, axis=1, keepdims=True), 0.6 * octahedron]
-    )
+    corners = np.concatenate([directions / np.linalg.norm(directions, axis=1, keepdims=True), 0.6 * octahedron])
     return ConvexPolyhedron(corners * rng.uniform(0.5, 1.0, 3))
 
 

@@ -173,7 +173,7 @@ def edge_features(
     xi: F64, ni: F32, mi: F32, ti: F32, si: F32, unit: F32,
     xj: F64, nj: F32, mj: F32, tj: F32, sj: F32, nbr: I32, out: F32,
 ) -> None:  # fmt: skip
-    """The invariants of the edges to xi (N, 3) from xj (M, 3); see `networks.graph.connect`."""
+    """The invariants of the edges to xi (N, 3) from xj (M, 3); see `layers.connect`."""
     for i in range(len(out)):
         inverse = np.float32(1) / unit[i]
         n0, n1, n2 = ni[i, 0], ni[i, 1], ni[i, 2]

@@ -1,4 +1,4 @@
-"""Differentiable operations on the edges of a neighbor graph, over the compiled loops of `networks.edge_kernels`."""
+"""Differentiable operations on the edges of a neighbor graph, over the compiled loops of `edge_kernels`."""
 
 from __future__ import annotations
 

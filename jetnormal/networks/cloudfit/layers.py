@@ -90,9 +90,7 @@ class EdgeConv(nn.Module):
         sent = by_rows(lambda rows: self.sender(sender[rows]), len(sender))
 
         def layer(rows: slice) -> Tensor:
-            messages = edge_messages(
-                self.own(h[rows]), sent, self.edge, edges.neighbors[rows], edges.features[rows]
-            )
+            messages = edge_messages(self.own(h[rows]), sent, self.edge, edges.neighbors[rows], edges.features[rows])
             return h[rows] + self.out(self.norm(messages))
 
         return by_rows(layer, len(h))
@@ -118,7 +116,7 @@ class EdgeWeights(nn.Module):
 
 
 class ZDirection(nn.Module):
-    """The normals of a level by a vote of neighbors (`edges.votes`) and of the normals that the points have."""
+    """The normals of a level by a vote of neighbors (`vote_ops.votes`) and of the normals that the points have."""
 
     def __init__(self, channels: int, sender_channels: int, hidden: int) -> None:
         super().__init__()
@@ -132,9 +130,7 @@ class ZDirection(nn.Module):
         def vote(rows: slice) -> Tensor:
             neighbors = edges.neighbors[rows]
             weights = F.softplus(self.weights(h[rows], sent, neighbors, edges.features[rows]))
-            matrix = votes(
-                weights, to.positions[rows], edges.unit[rows], senders.positions, senders.normals, neighbors
-            )
+            matrix = votes(weights, to.positions[rows], edges.unit[rows], senders.positions, senders.normals, neighbors)
             before = to.normals[rows]
             own = F.softplus(self.own(h[rows]))[:, :, None]
             return smallest_eigenvector(matrix - own * (before[:, :, None] * before[:, None]))

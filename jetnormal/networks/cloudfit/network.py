@@ -6,7 +6,7 @@ with learned weights, its offset, its normal and its normal mirrored. At the fin
 over that direction, and a learned combination of the neighbors' normals and of the jet's residuals corrects it.
 
 Everything is made of quantities that no rotation, translation, scaling, permutation or choice of the normals' signs
-changes (`graph.connect`), so the result turns with the cloud exactly.
+changes (`layers.connect`), so the result turns with the cloud exactly.
 """
 
 from __future__ import annotations
@@ -215,9 +215,7 @@ class CloudFit(nn.Module):
         return CloudPrediction(direction, rough, refined, jet, here.scale, confidence)
 
 
-def _pull(
-    rough: Tensor, pull: Tensor, spring: Tensor, normals: Tensor, offset: Tensor, residual: Tensor
-) -> Tensor:
+def _pull(rough: Tensor, pull: Tensor, spring: Tensor, normals: Tensor, offset: Tensor, residual: Tensor) -> Tensor:
     """(Q, 3) mean of what the neighbors add to the normals.
 
     A neighbor adds its normal, and its offset times the residual of the fit, each by a learned factor between -1

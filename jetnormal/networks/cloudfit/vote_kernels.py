@@ -126,9 +126,7 @@ def _solve_again(factor: F64, b: F64) -> None:
 
 
 @compiled
-def jets(
-    points: F32, weight: F32, order: int, ridge: F64, beta: F32, factors: F64, scales: F64
-) -> None:
+def jets(points: F32, weight: F32, order: int, ridge: F64, beta: F32, factors: F64, scales: F64) -> None:
     """Fits z = J(x, y) to points (N, k, 3): coefficients (N, T), and for the way back the normal matrices' factors
     (N, T, T) and the scale (N, T) of each monomial."""
     size = len(ridge)

@@ -1,4 +1,4 @@
-"""Differentiable votes for normals and weighted jets, over the compiled loops of `networks.fit_kernels`."""
+"""Differentiable votes for normals and weighted jets, over the compiled loops of `vote_kernels`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from jetnormal.networks.cloudfit import vote_kernels as kernels
 
 class _Votes(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: Any, weight: Tensor, x: Tensor, unit: Tensor, xj: Tensor, nj: Tensor, neighbors: Tensor
-    ) -> Tensor:
+    def forward(ctx: Any, weight: Tensor, x: Tensor, unit: Tensor, xj: Tensor, nj: Tensor, neighbors: Tensor) -> Tensor:
         out = weight.new_empty(len(x), 3, 3)
         arrays = [t.detach().contiguous().numpy() for t in (x, unit, xj, nj, neighbors, weight)]
         kernels.votes(*arrays, out.numpy())

@@ -181,7 +181,6 @@ def test_the_maximum_is_the_same_with_gradients_and_without(axis):
     assert set(features.grad.unique().tolist()) == {0, 1}  # one of the largest takes all
 
 
-
 def test_neighbors_are_found_in_full_precision_under_autocast():
     points = 1 + 1e-3 * torch.randn(1, 50, 3)  # one value for all in bfloat16
     expected = nearest(points, points, 4)
