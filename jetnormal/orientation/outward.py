@@ -2,9 +2,10 @@
 
 Patches of consistent signs (`agreement.patches`) are told by visibility where outside is. Their votes and their
 agreement with the patches around them are weighed in one linear system. A surface hidden inside another is looked at
-after that one has been taken away, and turned by whether it lies in matter or in a hole. Where the votes for both sides are about
-as many, a surface is open: it has no outside, and is turned up, by what is seen of it from above. Where noise is not
-small against the spacing, the dipole field of all normals (`dipole_field.DipoleField`) has the last word on single points.
+after that one has been taken away, and turned by whether it lies in matter or in a hole. Where the votes for both
+sides are about as many, a surface is open: it has no outside, and is turned up, by what is seen of it from above.
+Where noise is not small against the spacing, the dipole field of all normals (`dipole_field.DipoleField`) has the last
+word on single points.
 """
 
 from __future__ import annotations
