@@ -25,7 +25,11 @@ class Source:
             ``nx ny nz`` whatever the file calls them; every other name is a key of ``Cloud.attributes``.
         point_dtype: type of the coordinates in the file. Writing converts ``Cloud.points`` back to it.
         normal_dtype: type of the normals in the file, None where it had none.
-        extra: what only the codec of this format understands.
+        extra: what only the codec of this format understands. What it holds beyond the points and another format
+            cannot keep, it names by a method ``losses() -> list[str]``, if it has one.
+        sensors: (N, 3) float64, where the scanner stood that saw each point, in the cloud's coordinates; None where
+            that is not known for sure. A row may be NaN.
+        notes: what the reader has to tell the user, such as how many invalid points were left out.
     """
 
     format: str = ""
@@ -38,6 +42,8 @@ class Source:
     point_dtype: np.dtype[Any] = np.dtype(np.float64)
     normal_dtype: np.dtype[Any] | None = None
     extra: Any = None
+    sensors: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
+    notes: tuple[str, ...] = ()
 
 
 @dataclass
@@ -69,6 +75,9 @@ class Cloud:
         for name, values in self.attributes.items():
             if np.ndim(values) == 0 or len(values) != len(self):
                 raise ValueError(f"attribute {name!r} has shape {np.shape(values)} for {len(self)} points")
+        sensors = self.source.sensors
+        if sensors is not None and np.shape(sensors) != self.points.shape:
+            raise ValueError(f"the sensors have shape {np.shape(sensors)} for {len(self)} points")
 
     def __len__(self) -> int:
         return len(self.points)

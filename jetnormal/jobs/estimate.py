@@ -127,7 +127,8 @@ def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[
         raise InputError(f"{source}: {error}") from error
     busy = timer.seconds["estimate"] + timer.seconds["orient"]
     with timer.stage("write"):
-        warnings = facts["warnings"] + formats.write(result, target, encoding=options.encoding, overwrite=options.force)
+        losses = formats.write(result, target, encoding=options.encoding, overwrite=options.force)
+    notes = [f"{source}: {note}" for note in cloud.source.notes]
     return {
         "input": str(source),
         "output": str(target),
@@ -136,7 +137,7 @@ def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[
         "seconds": {name: round(seconds, 3) for name, seconds in timer.seconds.items()},
         "points_per_second": round(facts["valid"] / busy) if busy else None,
         "peak_memory_mb": peak_memory_mb(),
-        "warnings": warnings,
+        "warnings": [*notes, *facts["warnings"], *losses],
     }
 
 

@@ -135,7 +135,8 @@ def reconstruct_file(source: Path, target: Path, options: ReconstructOptions) ->
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     with timer.stage("write"):
-        warnings = facts.pop("warnings") + write_mesh(mesh, target, overwrite=options.force)
+        notes = [f"{source}: {note}" for note in cloud.source.notes]
+        warnings = notes + facts.pop("warnings") + write_mesh(mesh, target, overwrite=options.force)
     return {
         "input": str(source),
         "output": str(target),

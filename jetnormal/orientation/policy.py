@@ -64,6 +64,9 @@ def sign_method(options: SignOptions, cloud: Cloud) -> tuple[Method, NDArray[np.
         return "viewpoint", _viewpoints(options.viewpoint_attribute, cloud)
     if options.viewpoint is not None:
         return "viewpoint", np.asarray(options.viewpoint, dtype=np.float64)
+    sensors = cloud.source.sensors
+    if sensors is not None and options.orient in ("auto", "viewpoint"):
+        return "viewpoint", sensors
     known = cloud.source.viewpoint
     method: Any = default_method(known) if options.orient == "auto" else options.orient
     if method != "viewpoint":

@@ -130,3 +130,18 @@ def test_the_origin_is_not_believed_without_reason():
     assert seen_from_origin(orientation, points, EstimateOptions(orient="global"), origin) is None
     assert seen_from_origin(orientation, points, EstimateOptions(), pcd(points, 1, 0, 0)) is None
     assert seen_from_origin(orientation, points, EstimateOptions(), Cloud(points)) is None
+
+
+def test_the_scanners_of_a_file_go_before_its_viewpoint_but_not_before_the_users():
+    sensors = np.array([5.0, 0.0, 0.0]) + sphere()
+    cloud = Cloud(sphere(), source=Source(viewpoint=(1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0), sensors=sensors))
+    method, places = sign_method(EstimateOptions(), cloud)
+    assert method == "viewpoint" and np.array_equal(places, sensors)
+    _, place = sign_method(EstimateOptions(viewpoint=(4.0, 5.0, 6.0)), cloud)
+    assert place.tolist() == [4, 5, 6]
+    assert sign_method(EstimateOptions(orient="mst"), cloud) == ("mst", None)
+
+
+def test_a_cloud_needs_one_sensor_for_each_point():
+    with pytest.raises(ValueError, match="sensors"):
+        Cloud(sphere(5), source=Source(sensors=np.zeros((4, 3))))
