@@ -1,0 +1,147 @@
+"""Typer commands derived from option dataclasses (`support.options`).
+
+    @with_options
+    def estimate(input: Path, output: Path, options: EstimateOptions, json: Json = False) -> None:
+
+has one option for each field of EstimateOptions; the function gets them back as one instance.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, TypeVar, get_args, get_origin
+
+import typer
+from typer.core import TyperCommand
+
+from jetnormal.support.options import Field, Nested, Option, OptionSet, fields
+
+_Function = TypeVar("_Function", bound=Callable[..., None])
+_Set = TypeVar("_Set", bound=OptionSet)
+
+
+class GroupedCommand(TyperCommand):
+    """A command whose help lists the options under their groups, in plain text.
+
+    Typer's own groups, its panels, need Rich, whose import takes longer than all the rest of the start.
+    """
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": []}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                default = "Arguments" if parameter.param_type_name == "argument" else "Options"
+                group = getattr(parameter, "rich_help_panel", None) or default
+                sections.setdefault(group, []).append(record)
+        sections["Options"] = sections.pop("Options", [])  # those of no group come last
+        for group, records in sections.items():
+            if records:
+                with formatter.section(group):
+                    formatter.write_dl(records)
+
+
+def with_options(function: _Function) -> _Function:
+    """Replace each parameter that is annotated with an `OptionSet` by options for its fields."""
+    signature = inspect.signature(function, eval_str=True)
+    sets = {p.name: p.annotation for p in signature.parameters.values() if _is_set(p.annotation)}
+    parameters: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        if parameter.name in sets:
+            parameters += _parameters(sets[parameter.name])
+        else:
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(function)
+    def command(**values: Any) -> None:
+        gathered = {name: _gathered(kind, values) for name, kind in sets.items()}
+        rest = {name: value for name, value in values.items() if name in signature.parameters}
+        function(**rest, **gathered)
+
+    made: Any = command
+    made.__signature__ = signature.replace(parameters=parameters)
+    made.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    del made.__wrapped__  # Typer would look at its annotations
+    return made
+
+
+def _is_set(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, OptionSet)
+
+
+def _shown(kind: type, only: tuple[str, ...] | None = None) -> Iterator[Field]:
+    """The fields of a set, and of those nested in it, that the command line has."""
+    for field in fields(kind):
+        if only is not None and field.name not in only:
+            continue
+        if isinstance(field.note, Nested):
+            yield from _shown(field.type, field.note.only)
+        elif field.note is not None and field.note.flag:
+            yield field
+
+
+def _parameters(kind: type) -> Iterator[inspect.Parameter]:
+    """The options of a set as parameters of a command."""
+    for field in _shown(kind):
+        default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+        annotation: Any = Annotated[_typer_type(field), _typer_option(field)]
+        yield inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _typer_type(field: Field) -> Any:
+    """The type of a field as Typer knows it: a tuple of any length is an option that may be repeated."""
+    assert isinstance(field.note, Option)
+    if field.note.parse is not None:
+        return Any
+    return list[get_args(field.type)[0]] if _repeats(field) else field.type  # type: ignore[misc]
+
+
+def _repeats(field: Field) -> bool:
+    return get_origin(field.type) is tuple and get_args(field.type)[-1] is ...
+
+
+def _typer_option(field: Field) -> Any:
+    note = field.note
+    assert isinstance(note, Option)
+    names = note.names
+    if not names and field.type is bool and field.default is False:
+        names = (f"--{field.name.replace('_', '-')}",)  # without a --no-NAME
+    settings: dict[str, Any] = {"min": note.low, "max": note.high} if {int, float} & {*field.types} else {}
+    if note.parse is not None:
+        settings["parser"] = _parser(note.parse)
+    shown = True if note.default is None else note.default
+    return typer.Option(
+        *names, help=note.help, metavar=note.metavar, show_default=shown, rich_help_panel=note.group, **settings
+    )
+
+
+def _parser(parse: Callable[[str], Any]) -> Callable[[str], Any]:
+    """The parser of a field with the error that Typer reports by the option's name."""
+
+    @functools.wraps(parse)
+    def parser(text: Any) -> Any:
+        if not isinstance(text, str):
+            return text  # a default is a value already
+        try:
+            return parse(text)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
+
+    return parser
+
+
+def _gathered(kind: type[_Set], values: Mapping[str, Any], only: tuple[str, ...] | None = None) -> _Set:
+    """An instance of a set from the values of a command line."""
+    chosen: dict[str, Any] = {}
+    for field in fields(kind):
+        if only is not None and field.name not in only:
+            continue
+        if isinstance(field.note, Nested):
+            chosen[field.name] = _gathered(field.type, values, field.note.only)
+        elif field.note is not None and field.note.flag:
+            value = values[field.name]
+            chosen[field.name] = tuple(value or ()) if _repeats(field) else value
+    return kind(**chosen)
