@@ -1,6 +1,10 @@
-# make demo    normals for a sample scan, and a picture of them, in demo/
-# make test    linter, type checker and tests
-# make setup   only the virtual environment .venv, which both of the above make on their own
+# make demo     normals for a sample scan, and a picture of them, in demo/
+# make test     everything that is checked: lint, then all tests
+# make quick    lint and the tests that take less than a minute
+# make lint     style, format, direction of imports, types
+# make format   mend style and format
+# make docs     build the documentation in site/ and check its links
+# make setup    only the virtual environment .venv, which all of the above make on their own
 #
 # make demo PYTHON=python3.12      another Python (3.10 or newer)
 # make demo TORCH_INDEX=ADDRESS    PyTorch's package index for CPU-only wheels (its address is on PyTorch's
@@ -13,7 +17,7 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: demo format test setup
+.PHONY: browser demo docs format lint quick setup test
 
 demo: $(STAMP)
 	@mkdir -p demo
@@ -22,15 +26,30 @@ demo: $(STAMP)
 		--up=-0.05,-0.85,-0.46 --views=-15:20 --colors file,normals,plain --size 620 --background dark
 	@echo "The cloud with normals: demo/milk_normals.ply    A picture of it: demo/milk_normals.png"
 
+test: lint browser
+	$(BIN)/python -m pytest --durations=10
+
+quick: lint
+	$(BIN)/python -m pytest -q tests/formats tests/geometry tests/support
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+
 format: $(STAMP)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-test: $(STAMP)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/python -m pytest
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+# The page that `preview --html` writes is tested in Chromium. Without it those tests are skipped.
+browser:
+	@command -v chromium >/dev/null || command -v google-chrome >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get update -qq && \
+		DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium </dev/null; } \
+		>/dev/null 2>&1 || echo "There is no Chromium, and apt cannot install it here: its tests are skipped."
 
 setup: $(STAMP)
 

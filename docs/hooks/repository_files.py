@@ -1,0 +1,20 @@
+"""Take pages into the site that have their place elsewhere in the repository: model cards, CONTRIBUTING, CHANGELOG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+PATTERNS = ("CHANGELOG.md", "CONTRIBUTING.md", "models/*-*.md", "models/cloudfit.md", "models/*.png", "samples/*.png")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the files at the same path as in the repository."""
+    root = Path(config.config_file_path).parent
+    for pattern in PATTERNS:
+        for path in sorted(root.glob(pattern)):
+            name = path.relative_to(root).as_posix()
+            files.append(File(name, str(root), config.site_dir, config.use_directory_urls))
+    return files
