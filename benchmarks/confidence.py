@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from jetnormal.estimators.patchwise import make_estimator
+from jetnormal.estimators.factory import make_estimator
 from jetnormal.formats.pcpnet import cloud_names, read_cloud, split_name
 from jetnormal.geometry.metrics import angles
 

@@ -132,7 +132,7 @@ def main() -> None:
     if arguments.one:
         print(json.dumps(measure(arguments.one, arguments.folder)))
         return
-    from jetnormal.estimators.patchwise import make_estimator
+    from jetnormal.estimators.factory import make_estimator
     from jetnormal.jobs.estimate import DEFAULT_MODEL
 
     clouds = categorize(arguments.folder, cloud_names(arguments.folder, arguments.list))

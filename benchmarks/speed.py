@@ -46,7 +46,7 @@ def open3d_normals(points: np.ndarray, k: int) -> np.ndarray:
 
 def measure(model: str, count: int, repeats: int) -> dict[str, float]:
     """Runs one model in this process: median seconds, RMSE in degrees, peak memory in MB."""
-    from jetnormal.estimators.patchwise import make_estimator
+    from jetnormal.estimators.factory import make_estimator
     from jetnormal.geometry.metrics import angles, rmse
     from jetnormal.support.report import peak_memory_mb
 
@@ -76,7 +76,7 @@ def print_stages(model: str, count: int, repeats: int) -> None:
     """Where a whole-cloud model spends its time, as a table."""
     import torch
 
-    from jetnormal.estimators.patchwise import make_estimator
+    from jetnormal.estimators.factory import make_estimator
     from jetnormal.estimators.whole_cloud import CloudEstimator, spatial_order
     from jetnormal.geometry.neighbors import NeighborIndex
     from jetnormal.geometry.pyramid import NEIGHBORS, build_pyramid

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from jetnormal.support.report import Advance
 
+NETWORK_POINTS = 64  # a smaller cloud is less than a network has ever seen: a jet does better
+Axes = tuple[NDArray[np.float32], NDArray[np.float32]]
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -47,7 +50,7 @@ def joined(parts: list[Prediction]) -> Prediction:
 
 
 class Estimator(Protocol):
-    """Points in, unoriented normals out."""
+    """Points in, unoriented normals out. An estimator says itself what it can; nobody asks for its class or name."""
 
     @property
     def name(self) -> str:
@@ -59,14 +62,41 @@ class Estimator(Protocol):
         """Points in a patch; a smaller cloud gets patches of all its points."""
         ...
 
+    @property
+    def has_curvature(self) -> bool:
+        """Whether `Prediction.curvatures` is there: a plane has none."""
+        ...
+
+    @property
+    def min_points(self) -> int:
+        """Points of the smallest cloud that the estimator is good for; it works from 3 points on."""
+        ...
+
+    @property
+    def whole_cloud(self) -> bool:
+        """Whether most of the work is done once for the whole cloud, however few the queries are."""
+        ...
+
     def __call__(
         self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
     ) -> Prediction:
-        """Estimates normals.
+        """Estimate normals.
 
         Args:
             points: (N, 3) finite coordinates, N >= 3.
             queries: (Q,) indices of the points to estimate; None means all.
             advance: called with the number of points just done.
         """
+        ...
+
+    def cost(self, points: NDArray[np.float64]) -> float:
+        """Count 10^9 floating point operations a point, in matrix products, a multiply-add being two.
+
+        Args:
+            points: (N, 3), a cloud of the usual kind.
+        """
+        ...
+
+    def z_axes(self, points: NDArray[np.float64], queries: NDArray[np.int64]) -> Axes | None:
+        """Find the z axes (Q, 3) of patches before and after a learned transform; None without such a transform."""
         ...

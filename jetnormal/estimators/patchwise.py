@@ -1,7 +1,7 @@
 """Estimators that look at one patch at a time, in bounded memory.
 
 The classical ones fit a plane (`pca`) or a jet (`jet`) to each patch; a learned one (`PatchFit`) also turns it,
-weighs its points and corrects the result. `make_estimator` builds each from a text such as "pca:k=112".
+weighs its points and corrects the result.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -18,18 +17,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from jetnormal.errors import UsageError
-from jetnormal.estimators.base import Estimator, Prediction, joined
+from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction, joined
 from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import Patches, build_patches
-from jetnormal.networks.checkpoint import load_model, resolve
 from jetnormal.networks.patchfit.network import PatchFit
-from jetnormal.support.device import in_order, multiplies_bfloat16, resolve_device, worker_pool
+from jetnormal.support.device import in_order, multiplies_bfloat16, torch_threads, worker_pool
+from jetnormal.support.flops import matrix_products
 from jetnormal.support.report import Advance
 
 CHUNK_POINTS = 1_000_000  # neighbors gathered at a time, about 100 MB
 BATCH_POINTS = 250_000  # neighbors in the default batch of a classical fit, at most: large patches come in few
 MAX_BATCH = 256  # patches in the default batch of a network
+Z_BATCH = 32  # patches
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,8 @@ class PatchEstimator:
         device: where they are fitted.
         threads: CPU threads; None for all cores.
         transform: a network's learned rotations, (B, 3, 3), of patches (B, k, 3); None for a classical fit.
+        has_curvature: whether the fit has curvatures.
+        min_points: of the smallest cloud that the fit is good for.
     """
 
     name: str
@@ -63,11 +65,14 @@ class PatchEstimator:
     device: str = "cpu"
     threads: int | None = None
     transform: Callable[[Tensor], Tensor] | None = None
+    has_curvature: bool = True
+    min_points: int = 3
+    whole_cloud: ClassVar[bool] = False
 
     def __call__(
         self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
     ) -> Prediction:
-        """See `Estimator`."""
+        """See `estimators.base.Estimator`."""
         queries = np.arange(len(points)) if queries is None else queries
         k = min(self.neighbors, len(points))
         index = NeighborIndex(points, threads=self.threads)
@@ -83,6 +88,30 @@ class PatchEstimator:
                     if advance:
                         advance(len(part.normals))
         return joined(parts)
+
+    def cost(self, points: NDArray[np.float64]) -> float:
+        """See `estimators.base.Estimator`; counted on one patch."""
+        patch = self._patches(points, np.arange(1))
+        return matrix_products(lambda: self.fit(replace(patch, points=patch.points.to(self.device))))
+
+    @torch.inference_mode()
+    def z_axes(self, points: NDArray[np.float64], queries: NDArray[np.int64]) -> Axes | None:
+        """See `estimators.base.Estimator`; before the transform, z is the normal of the patch's plane."""
+        if self.transform is None:
+            return None
+        axes: list[tuple[Tensor, Tensor]] = []
+        with torch_threads(1):  # small batches stay in the cache of one core
+            for batch in _split(queries, Z_BATCH):
+                patches = self._patches(points, batch)
+                rotation = self.transform(patches.points.to(self.device)).cpu()
+                axes.append((patches.frame[:, :, 2], patches.to_cloud(rotation[:, :, 2])))
+        before, after = (torch.cat(parts).numpy() for parts in zip(*axes, strict=True))
+        return before, after
+
+    def _patches(self, points: NDArray[np.float64], queries: NDArray[np.int64]) -> Patches:
+        found, _ = NeighborIndex(points, threads=self.threads).query(points[queries], min(self.neighbors, len(points)))
+        found[:, 0] = queries  # of coincident points, another may come first
+        return build_patches(points, queries, found)
 
     @torch.inference_mode()
     def _predict(self, patches: Patches) -> Prediction:
@@ -114,7 +143,7 @@ def pca_estimator(k: int = 30, batch_size: int | None = None, threads: int | Non
 
     k = _checked_k(k)
     batch_size = batch_size or min(2048, 1 + BATCH_POINTS // k)
-    return PatchEstimator(f"pca:k={k}", k, fit, batch_size, threads=threads)
+    return PatchEstimator(f"pca:k={k}", k, fit, batch_size, threads=threads, has_curvature=False)
 
 
 def jet_estimator(
@@ -161,7 +190,7 @@ def network_estimator(
     k = _checked_k(k or network.config.neighbors)
     # Narrow layers need more rows to be worth a call, and leave room for them in the cache.
     batch_size = batch_size or min(MAX_BATCH, round(network.weights.batch / network.config.width**2))
-    return PatchEstimator(name, k, fit, batch_size, device, threads, network.transform)
+    return PatchEstimator(name, k, fit, batch_size, device, threads, network.transform, min_points=NETWORK_POINTS)
 
 
 def agreement(before: Tensor, after: Tensor) -> Tensor:
@@ -169,89 +198,6 @@ def agreement(before: Tensor, after: Tensor) -> Tensor:
     sine = torch.linalg.cross(before, after).square().sum(1).sqrt()
     cosine = (before * after).sum(1).abs()
     return 1 - torch.atan2(sine, cosine) / (math.pi / 2)
-
-
-def make_estimator(
-    model: str,
-    *,
-    k: int | None = None,
-    order: int | None = None,
-    iterations: int | None = None,
-    batch_size: int | None = None,
-    device: str = "auto",
-    threads: int | None = None,
-) -> Estimator:
-    """Builds an estimator from its name.
-
-    Args:
-        model: "pca", "jet", a packaged network or a model file; settings may follow a colon, as in
-            "jet:k=122,order=2" or "deepfit-small:iterations=2".
-        k: neighbors in a patch.
-        order: of the jet; only for "jet".
-        iterations: of a network; see `PatchFit.forward`.
-        batch_size: patches at a time.
-        device: "auto", "cpu", "cuda" or "cuda:N", for networks.
-        threads: CPU threads.
-
-    Raises:
-        UsageError: a setting is unknown, out of range, or given to a model without it.
-        ModelError: there is no such model, or its file is damaged.
-        ResourceError: the device is not there.
-    """
-    name, settings = _parse(model)
-    given = {"k": k, "order": order, "iterations": iterations} | settings
-    chosen: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
-    common: dict[str, Any] = {"batch_size": batch_size, "threads": threads}
-    for key in ("batch_size", "threads", "iterations"):
-        if (value := (common | chosen).get(key)) is not None and value < 1:
-            raise UsageError(f"{key} must be at least 1, not {value}")
-    if name == "pca":
-        return pca_estimator(**_only(chosen, name, "k"), **common)
-    if name == "jet":
-        return jet_estimator(**_only(chosen, name, "k", "order"), **common)
-    network = load_model(name)
-    if not isinstance(network, PatchFit):
-        from jetnormal.estimators.whole_cloud import FIT_ROWS, CloudEstimator  # brings numba along
-
-        if device not in ("auto", "cpu"):
-            raise UsageError(f"{name} runs on the CPU: leave --device out or choose a patch network")
-        return CloudEstimator(
-            model, network, **_only(chosen, name, "iterations"), batch_size=batch_size or FIT_ROWS, threads=threads
-        )
-    chosen = _only(chosen, name, "k", "iterations")
-    return network_estimator(model, network, **chosen, **common, device=resolve_device(device))
-
-
-def model_file(model: str) -> Path | None:
-    """The file that a model, given as to `make_estimator`, is loaded from; None for "pca" and "jet".
-
-    Raises:
-        UsageError, ModelError: as `make_estimator`.
-    """
-    name, _ = _parse(model)
-    return None if name in ("pca", "jet") else resolve(name)
-
-
-def _parse(model: str) -> tuple[str, dict[str, int]]:
-    """Splits "name:key=value,..." at its last colon; a path may hold colons of its own."""
-    name, colon, text = model.rpartition(":")
-    if not colon or "=" not in text or Path(model).exists():
-        return model, {}
-    settings = {}
-    for item in text.split(","):
-        key, _, value = item.partition("=")
-        if key not in ("k", "order", "iterations") or not value.isdigit():
-            raise UsageError(f"{model}: {item!r} is no setting; write k=, order= or iterations= and a number")
-        settings[key] = int(value)
-    return name, settings
-
-
-def _only(chosen: dict[str, Any], model: str, *allowed: str) -> dict[str, Any]:
-    """The chosen settings, all of which the model must have; one iteration is what every model does."""
-    for key in chosen:
-        if key not in allowed and not (key == "iterations" and chosen[key] == 1):
-            raise UsageError(f"the model {model} has no setting {key}; it takes {' and '.join(allowed)}")
-    return {key: value for key, value in chosen.items() if key in allowed}
 
 
 def _checked_k(k: int) -> int:

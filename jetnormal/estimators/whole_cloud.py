@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from jetnormal.estimators.base import Prediction, joined
+from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction, joined
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import COLLINEAR
 from jetnormal.geometry.pyramid import NEIGHBORS, Level, build_pyramid
 from jetnormal.networks.cloudfit.network import CloudFit, Encoding
 from jetnormal.support.device import in_order, torch_threads, worker_pool
+from jetnormal.support.flops import matrix_products
 from jetnormal.support.report import Advance
 
 WHOLE = 500_000  # points: a larger cloud is cut into blocks
@@ -45,6 +47,9 @@ class CloudEstimator:
     batch_size: int = FIT_ROWS
     threads: int | None = None
     neighbors: int = NEIGHBORS + 1
+    has_curvature: ClassVar[bool] = True
+    min_points: ClassVar[int] = NETWORK_POINTS
+    whole_cloud: ClassVar[bool] = True
 
     def __call__(
         self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
@@ -68,6 +73,16 @@ class CloudEstimator:
             done.append(asked)
             parts += self._block(points[rows], place[queries[asked]], advance)
         return joined(parts)[np.argsort(np.concatenate(done))]
+
+    def cost(self, points: NDArray[np.float64]) -> float:
+        """See `estimators.base.Estimator`; without the compiled loops over edges."""
+        pyramid = build_pyramid(points - points.mean(axis=0), len(self.network.config.channels))
+        rows = torch.arange(len(points))
+        return matrix_products(lambda: self.network.fit(self.network.encode(pyramid), rows)) / len(points)
+
+    def z_axes(self, points: NDArray[np.float64], queries: NDArray[np.int64]) -> Axes | None:
+        """See `estimators.base.Estimator`: the transform is not of a patch."""
+        return None
 
     @torch.inference_mode()
     def _block(

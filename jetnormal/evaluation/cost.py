@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.flop_counter import FlopCounterMode
 
 from jetnormal.estimators.base import Estimator
-from jetnormal.estimators.patchwise import make_estimator, network_estimator
-from jetnormal.geometry.pyramid import build_pyramid
-from jetnormal.networks.checkpoint import load_model, load_tensors, packaged_names, resolve
-from jetnormal.networks.cloudfit.network import CloudFit
+from jetnormal.estimators.factory import make_estimator
+from jetnormal.estimators.patchwise import network_estimator
+from jetnormal.networks.checkpoint import load_tensors
+from jetnormal.networks.packaged import packaged_names, resolve
 from jetnormal.networks.patchfit.network import CONFIGS, PatchFit, PatchFitConfig, parameter_count
-from jetnormal.support.device import resolve_device, torch_threads
+from jetnormal.support.device import resolve_device
 
 CLOUD_POINTS = 20_000  # of the procedural solid that speed is measured on
 TIMED_PATCHES = 512
@@ -57,17 +57,15 @@ def of_model(name: str, *, measure: bool = False, device: str = "auto", threads:
         ResourceError: the device is not there.
     """
     path = resolve(name)
-    network = load_model(path)
     tensors, metadata = load_tensors(path)
-    timed = TIMED_PATCHES if isinstance(network, PatchFit) else None  # any other looks at the whole cloud at once
     estimator = make_estimator(str(path), device=device, threads=threads)
     return Complexity(
         name=name,
-        architecture=describe(network.config) if isinstance(network, PatchFit) else metadata["architecture"],
+        architecture=_in_words(metadata["architecture"], metadata["config"]),
         parameters=sum(t.numel() for key, t in tensors.items() if not key.endswith(_STATISTICS)),
         megabytes=path.stat().st_size / 1e6,
-        gflop_per_point=gflop_per_patch(network) if isinstance(network, PatchFit) else gflop_of_cloud(network),
-        ms_per_point=ms_per_point(estimator, timed) if measure else None,
+        gflop_per_point=estimator.cost(_solid(np.random.default_rng(1))),
+        ms_per_point=ms_per_point(estimator) if measure else None,
         rmse=metadata.get("training", {}).get("rmse"),
     )
 
@@ -100,12 +98,14 @@ def _of_config(name: str, config: PatchFitConfig, measure: bool, device: str, th
     network = PatchFit(config)
     parameters = parameter_count(network)
     size = sum(t.numel() * t.element_size() for t in network.state_dict().values())
-    network.for_inference()
-    gflop = gflop_per_patch(network)
-    milliseconds = None
-    if measure:
-        milliseconds = ms_per_point(network_estimator(name, network, device=device, threads=threads), TIMED_PATCHES)
+    estimator = network_estimator(name, network.for_inference(), device=device, threads=threads)
+    gflop = estimator.cost(_solid(np.random.default_rng(1)))
+    milliseconds = ms_per_point(estimator) if measure else None
     return Complexity(name, describe(config), parameters, size / 1e6, gflop, milliseconds)
+
+
+def _in_words(architecture: str, config: dict[str, Any]) -> str:
+    return describe(PatchFitConfig(**config)) if architecture == PatchFit.architecture else architecture
 
 
 def describe(config: PatchFitConfig) -> str:
@@ -117,42 +117,14 @@ def describe(config: PatchFitConfig) -> str:
     return f"{' + '.join(parts)}, {config.neighbors} neighbors, order {config.order}{width}"
 
 
-def gflop_per_patch(network: PatchFit) -> float:
-    """10^9 floating point operations in the matrix products of one patch, as they are executed."""
-    points = torch.rand(1, network.config.neighbors, 3, generator=torch.Generator().manual_seed(1)) - 0.5
-    return _products(lambda: network(points.to(next(network.parameters()).device)))
-
-
-def gflop_of_cloud(network: CloudFit) -> float:
-    """10^9 floating point operations a point in the matrix products of a whole cloud, as they are executed.
-
-    The compiled loops over edges are not counted.
-    """
-    points = _solid(np.random.default_rng(1))
-    pyramid = build_pyramid(points - points.mean(axis=0), len(network.config.channels))
-    return _products(lambda: network.fit(network.encode(pyramid), torch.arange(len(points)))) / len(points)
-
-
-def _products(work: Callable[[], object]) -> float:
-    """10^9 operations in the matrix products of some work, on one thread, since the counter sees no other."""
-    with torch.inference_mode(), torch_threads(1), FlopCounterMode(display=False) as counter:
-        work()
-    return counter.get_total_flops() / 1e9
-
-
-def ms_per_point(estimator: Estimator, queries: int | None) -> float:
-    """Milliseconds a point takes on a procedural solid with a little noise.
-
-    Args:
-        estimator: to be measured.
-        queries: points to estimate; None for the whole cloud.
-    """
+def ms_per_point(estimator: Estimator) -> float:
+    """Measure the milliseconds a point takes on a procedural solid with a little noise."""
     rng = np.random.default_rng(1)
     points = _solid(rng)
-    chosen = rng.permutation(CLOUD_POINTS)[: queries or CLOUD_POINTS]
+    chosen = rng.permutation(CLOUD_POINTS)[: CLOUD_POINTS if estimator.whole_cloud else TIMED_PATCHES]
     estimator(points, chosen[:16])  # imports and warm-up
     start = time.perf_counter()
-    estimator(points, None if queries is None else chosen)
+    estimator(points, chosen)
     return 1e3 * (time.perf_counter() - start) / len(chosen)
 
 

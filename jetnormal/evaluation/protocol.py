@@ -142,7 +142,7 @@ def evaluate(
 
     Args:
         data: folder in PCPNet's layout: NAME.xyz, NAME.normals and, where not all points count, NAME.pidx.
-        models: names or files, with settings as in "jet:k=122,order=2" (see `estimators.patchwise.make_estimator`), or
+        models: names or files, with settings as in "jet:k=122,order=2" (see `estimators.factory.make_estimator`), or
             estimators.
         list_file: name of the list in the folder, one NAME per line; None takes `testset_all.txt` where there is
             one, else all clouds with normals.
@@ -199,7 +199,7 @@ def _by_category(clouds: dict[str, str]) -> dict[str, list[str]]:
 def _make_trials(
     models: Sequence[str | Estimator], settings: dict[str, Any], store: ResultStore | None
 ) -> list[_Trial]:
-    from jetnormal.estimators.patchwise import make_estimator, model_file
+    from jetnormal.estimators.factory import make_estimator, model_file
 
     trials: dict[str, _Trial] = {}
     for model in models:

@@ -12,7 +12,6 @@ from jetnormal.evaluation.clouds import BenchmarkCloud
 from jetnormal.geometry.metrics import angles
 
 SAMPLE = 1000  # points of a cloud that are measured, at most
-BATCH = 32
 
 
 @dataclass(frozen=True)
@@ -36,28 +35,10 @@ def measure_z_angles(estimator: Estimator, cloud: BenchmarkCloud) -> ZAngles | N
     Returns:
         The angles; None if the estimator has no learned transform.
     """
-    import torch
-
-    from jetnormal.estimators.patchwise import PatchEstimator
-    from jetnormal.geometry.neighbors import NeighborIndex
-    from jetnormal.geometry.patches import build_patches
-    from jetnormal.support.device import torch_threads
-
-    if not isinstance(estimator, PatchEstimator) or estimator.transform is None:
+    rows = np.arange(0, len(cloud.queries), -(-len(cloud.queries) // SAMPLE))
+    queries = cloud.queries[rows]
+    axes = estimator.z_axes(cloud.points, queries)
+    if axes is None:
         return None
-    points, queries = cloud.points, cloud.queries
-    rows = np.arange(0, len(queries), -(-len(queries) // SAMPLE))
-    index = NeighborIndex(points, threads=estimator.threads)
-    found: list[NDArray[np.float64]] = []
-    with torch.inference_mode(), torch_threads(1):  # small batches stay in the cache of one core
-        for start in range(0, len(rows), BATCH):
-            batch = queries[rows[start : start + BATCH]]
-            neighbors, _ = index.query(points[batch], min(estimator.neighbors, len(points)))
-            neighbors[:, 0] = batch  # of coincident points, another may come first
-            patches = build_patches(points, batch, neighbors)
-            rotation = estimator.transform(patches.points.to(estimator.device)).cpu()
-            axes = (patches.frame[:, :, 2], patches.to_cloud(rotation[:, :, 2]))
-            true = cloud.normals[batch]
-            found.append(np.stack([angles(axis.numpy(), true) for axis in axes]))
-    before, after = np.concatenate(found, axis=1).astype(np.float32)
+    before, after = (angles(axis, cloud.normals[queries]).astype(np.float32) for axis in axes)
     return ZAngles(rows, before, after)

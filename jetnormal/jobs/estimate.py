@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from jetnormal.orientation.methods import Orientation
 
 DEFAULT_MODEL = "cloudfit"
-MIN_NETWORK_POINTS = 64  # a smaller cloud is less than a network has ever seen: a jet does better
 MAX_COORDINATE = 1e150  # squares of differences must be finite
 
 Vector = tuple[float, float, float]
@@ -34,7 +33,7 @@ class EstimateOptions:
 
     Attributes:
         model: "auto" (the default network), a packaged network, "pca", "jet", or a model file; settings may follow
-            a colon (`estimators.patchwise.make_estimator`).
+            a colon (`estimators.factory.make_estimator`).
         k: neighbors in a patch; None takes the model's.
         order: of the jet, for "jet".
         iterations: of a network: from the second on, each normal found replaces the learned z-direction.
@@ -204,15 +203,15 @@ def prepare_estimator(options: EstimateOptions) -> Estimator:
     Raises:
         UsageError, ModelError, ResourceError: as `estimate`.
     """
-    from jetnormal.estimators.patchwise import make_estimator
+    from jetnormal.estimators.factory import make_estimator
     from jetnormal.orientation.policy import check_sign_options
 
     check_sign_options(options)
     model = DEFAULT_MODEL if options.model == "auto" else options.model
     iterations = options.iterations if options.iterations != 1 else None
     estimator = make_estimator(model, k=options.k, order=options.order, iterations=iterations, **_resources(options))
-    if options.curvature and estimator.name.startswith("pca"):
-        raise UsageError("pca fits a plane, which has no curvature; choose a network or jet")
+    if options.curvature and not estimator.has_curvature:
+        raise UsageError(f"{estimator.name} has no curvature: leave curvature out, or choose a network or jet")
     return estimator
 
 
@@ -222,9 +221,9 @@ def _resources(options: EstimateOptions) -> dict[str, Any]:
 
 def _suited_to(count: int, estimator: Estimator, options: EstimateOptions) -> tuple[Estimator, list[str]]:
     """The estimator for a cloud of so many points, and what to say if it is not quite the one asked for."""
-    from jetnormal.estimators.patchwise import make_estimator
+    from jetnormal.estimators.factory import make_estimator
 
-    if count < MIN_NETWORK_POINTS and not estimator.name.startswith(("pca", "jet")):
+    if count < estimator.min_points:
         jet = make_estimator("jet", k=max(3, count), **_resources(options))
         return jet, [f"{count} points are too few for {estimator.name}: a jet was fitted to all of them instead"]
     if count >= estimator.neighbors:

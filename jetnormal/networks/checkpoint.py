@@ -15,7 +15,7 @@ from torch import Tensor
 
 from jetnormal.errors import ModelError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.packaged import model_directory
+from jetnormal.networks.packaged import resolve
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     Network = PatchFit | CloudFit
 
 FORMAT = "jetnormal-1"
-SUFFIX = ".safetensors"
 ARCHITECTURES = ("patchfit", "cloudfit")
 
 
@@ -102,24 +101,3 @@ def _build(architecture: str, config: dict[str, Any]) -> Network:
     from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig  # brings numba along
 
     return CloudFit(CloudFitConfig(**config))
-
-
-def resolve(name: str | Path) -> Path:
-    """The file of a packaged name (`cloudfit`) or of a path.
-
-    Raises:
-        ModelError: if it is neither.
-    """
-    packaged = model_directory() / f"{name}{SUFFIX}"
-    if packaged.is_file():
-        return packaged
-    path = Path(name)
-    if path.is_file():
-        return path
-    known = ", ".join(packaged_names())
-    raise ModelError(f"{name}: neither a packaged model ({known}) nor a model file")
-
-
-def packaged_names() -> list[str]:
-    """Names of the packaged networks."""
-    return sorted(path.stem for path in model_directory().glob(f"*{SUFFIX}"))

@@ -1,8 +1,14 @@
-"""Where the files that ship with jetnormal lie."""
+"""The models that ship with jetnormal, by name; knowing them loads nothing."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+
+from jetnormal.errors import ModelError
+from jetnormal.support.suggest import did_you_mean
+
+SUFFIX = ".safetensors"
 
 
 def model_directory() -> Path:
@@ -10,3 +16,29 @@ def model_directory() -> Path:
     package = Path(__file__).parents[1]
     installed = package / "models"
     return installed if installed.is_dir() else package.parent / "models"
+
+
+def packaged_names() -> list[str]:
+    """List the names of the packaged networks."""
+    return sorted(path.stem for path in model_directory().glob(f"*{SUFFIX}"))
+
+
+def resolve(name: str | Path, others: Iterable[str] = ()) -> Path:
+    """Find the file of a packaged network (`cloudfit`) or of a path.
+
+    Args:
+        name: of a network, or a path.
+        others: names that the caller knows beside the packaged ones, for the message.
+
+    Raises:
+        ModelError: it is neither.
+    """
+    packaged = model_directory() / f"{name}{SUFFIX}"
+    if packaged.is_file():
+        return packaged
+    path = Path(name)
+    if path.is_file():
+        return path
+    known = [*packaged_names(), *others]
+    hint = did_you_mean(str(name), known)
+    raise ModelError(f"{name}: neither a packaged model ({', '.join(known)}) nor a model file{hint}")

@@ -20,7 +20,8 @@ from torch import Tensor
 
 from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.checkpoint import load_tensors, resolve, save_model, save_tensors
+from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
+from jetnormal.networks.packaged import resolve
 from jetnormal.support.report import logger
 from jetnormal.training.events import EventLog
 

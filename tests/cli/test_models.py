@@ -7,10 +7,8 @@ import pytest
 import torch
 
 from jetnormal.cli.app import main
-from jetnormal.evaluation import cost as complexity
-from jetnormal.networks.checkpoint import load_tensors, packaged_names, save_model, save_tensors
-from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig
-from jetnormal.networks.patchfit.layers import PointLayer
+from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
+from jetnormal.networks.packaged import packaged_names
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig, parameter_count
 
 TINY = PatchFitConfig("graphfit", neighbors=32, width=0.125, light=True, offsets=True)
@@ -72,30 +70,6 @@ def test_the_papers_networks_are_listed(monkeypatch, capsys):
     assert operations[5] > 3 * operations[3]
     assert run(monkeypatch, "--complexity", "--no-measure") == 0
     assert "GraphFit + z-transform + correction, 500 neighbors, order 3" in capsys.readouterr().out
-
-
-def test_operations_are_those_of_the_matrix_products():
-    class Single(PatchFit):
-        def __init__(self):
-            super().__init__(TINY)
-            self.layer = PointLayer(3, 5)
-
-        def forward(self, points, iterations=1, neighbors=False):
-            return self.layer(points)
-
-    assert complexity.gflop_per_patch(Single().for_inference()) == pytest.approx(2e-9 * 32 * 3 * 5)
-
-
-def test_operations_of_a_cloud_are_those_of_its_points(monkeypatch):
-    network = CloudFit(CloudFitConfig((8, 8, 8), 4, 2, (0, 0, 0), (0, 0, 0))).for_inference()
-
-    def fit(encoding, queries):
-        return torch.ones(len(queries), 3) @ torch.ones(3, 5)
-
-    monkeypatch.setattr(network, "encode", lambda pyramid: torch.ones(7, 11) @ torch.ones(11, 13))
-    monkeypatch.setattr(network, "fit", fit)
-    per_cloud = 2e-9 * 7 * 11 * 13 / complexity.CLOUD_POINTS
-    assert complexity.gflop_of_cloud(network) == pytest.approx(2e-9 * 3 * 5 + per_cloud)
 
 
 @pytest.mark.parametrize(

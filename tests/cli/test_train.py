@@ -12,7 +12,7 @@ import pytest
 
 from jetnormal.cli.app import main
 from jetnormal.data.sources import MeshFolder, Mixture, PcpnetFolder, SyntheticSolids
-from jetnormal.estimators.patchwise import make_estimator
+from jetnormal.estimators.factory import make_estimator
 from jetnormal.networks.checkpoint import load_model
 from jetnormal.networks.patchfit.network import CONFIGS
 from jetnormal.training import loop

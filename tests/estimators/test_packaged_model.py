@@ -11,10 +11,10 @@ from jetnormal import load_model
 from jetnormal.data.corruption import add_noise
 from jetnormal.data.solids.recipes import random_solid
 from jetnormal.estimators import patchwise as estimators
-from jetnormal.estimators.patchwise import make_estimator
+from jetnormal.estimators.factory import make_estimator
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.jobs.estimate import DEFAULT_MODEL
-from jetnormal.networks.checkpoint import packaged_names
+from jetnormal.networks.packaged import packaged_names
 
 PATCH_NETWORKS = ("deepfit-small", "adafit-small", "graphfit-small")
 SEEDS = (90_001, 90_002, 90_003)  # of solids; training draws from others

@@ -7,10 +7,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from jetnormal.errors import ModelError, UsageError
-from jetnormal.estimators.patchwise import BATCH_POINTS, jet_estimator, make_estimator, network_estimator, pca_estimator
+from jetnormal.estimators.factory import make_estimator
+from jetnormal.estimators.patchwise import BATCH_POINTS, jet_estimator, network_estimator, pca_estimator
 from jetnormal.geometry.metrics import angles
-from jetnormal.networks.checkpoint import save_model
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 TINY = PatchFitConfig(neighbors=64, width=0.125, transform_width=0.125, feature_transform=False, light=True)
@@ -130,30 +129,6 @@ def test_confidence_is_high_on_a_plane_and_lower_in_a_ball():
         estimator = make_estimator(name)
         assert np.median(estimator(plane).confidence) > 0.99
         assert np.median(estimator(ball).confidence) < 0.99 - gap
-
-
-@pytest.mark.parametrize(
-    "model",
-    ["pca:k=2", "jet:order=5", "pca:order=2", "jet:iterations=2", "pca:k=many", "pca:q=3", "jet:k=-4"],
-)
-def test_bad_settings_are_usage_errors(model):
-    with pytest.raises(UsageError):
-        make_estimator(model)
-
-
-def test_an_unknown_model_is_a_model_error(tmp_path):
-    with pytest.raises(ModelError, match="nonesuch"):
-        make_estimator("nonesuch")
-
-
-def test_a_model_file_takes_settings_after_a_colon(tmp_path, network):
-    torch.manual_seed(0)
-    path = tmp_path / "own.safetensors"
-    save_model(path, PatchFit(TINY), {})
-    points, _ = sphere(200)
-    found = make_estimator(f"{path}:iterations=2")(points)
-    expected = network_estimator("tiny", network, iterations=2)(points)
-    assert np.abs(found.normals - expected.normals).max() < 1e-5
 
 
 def test_large_patches_come_in_batches_of_bounded_memory():

@@ -29,6 +29,9 @@ class Turned:
     def __init__(self, degrees, name="turned", flipped=slice(None, None, 2)):
         self.degrees, self.name, self.flipped = degrees, name, flipped
 
+    def z_axes(self, points, queries):
+        return None
+
     def __call__(self, points, queries=None, advance=None):
         points = points[queries]
         radius = np.linalg.norm(points, axis=1, keepdims=True)

@@ -9,7 +9,8 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from jetnormal.errors import InputError, ModelError
-from jetnormal.networks.checkpoint import load_model, load_tensors, packaged_names, resolve, save_model, save_tensors
+from jetnormal.networks.checkpoint import load_model, load_tensors, save_model, save_tensors
+from jetnormal.networks.packaged import packaged_names, resolve
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 CONFIG = PatchFitConfig(neighbors=16, width=0.125, order=2, light=True)
@@ -203,7 +204,7 @@ def test_a_packaged_name_goes_before_a_path(tmp_path, monkeypatch, saved):
     (tmp_path / "models").mkdir()
     packaged = tmp_path / "models" / "tiny.safetensors"
     saved.rename(packaged)
-    monkeypatch.setattr("jetnormal.networks.checkpoint.model_directory", lambda: tmp_path / "models")
+    monkeypatch.setattr("jetnormal.networks.packaged.model_directory", lambda: tmp_path / "models")
     assert packaged_names() == ["tiny"]
     assert resolve("tiny") == packaged
     assert resolve(packaged) == packaged

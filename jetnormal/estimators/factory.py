@@ -1,0 +1,167 @@
+"""From the text that a user types, such as "cloudfit" or "pca:k=112", to an estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jetnormal.errors import UsageError
+from jetnormal.networks.packaged import packaged_names, resolve
+
+if TYPE_CHECKING:
+    from jetnormal.estimators.base import Estimator
+
+CLASSICAL = ("pca", "jet")
+SETTINGS = ("k", "order", "iterations")
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What an estimator may use: see `make_estimator`."""
+
+    batch_size: int | None
+    device: str
+    threads: int | None
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of estimator.
+
+    Attributes:
+        settings: that it has.
+        runs_on_gpu: whether it takes another device than the CPU.
+        build: makes one of its name, its network (None for a classical fit), settings and resources.
+    """
+
+    settings: tuple[str, ...]
+    runs_on_gpu: bool
+    build: Callable[[str, Any, dict[str, int], Resources], Estimator]
+
+
+def make_estimator(
+    model: str,
+    *,
+    k: int | None = None,
+    order: int | None = None,
+    iterations: int | None = None,
+    batch_size: int | None = None,
+    device: str = "auto",
+    threads: int | None = None,
+) -> Estimator:
+    """Build an estimator from its name.
+
+    Args:
+        model: "pca", "jet", a packaged network or a model file; settings may follow a colon, as in
+            "jet:k=122,order=2" or "deepfit-small:iterations=2".
+        k: neighbors in a patch.
+        order: of the jet; only for "jet".
+        iterations: of a network; see `PatchFit.forward`.
+        batch_size: patches at a time.
+        device: "auto", "cpu", "cuda" or "cuda:N", for networks.
+        threads: CPU threads.
+
+    Raises:
+        UsageError: a setting is unknown, out of range, or given to a model without it.
+        ModelError: there is no such model, or its file is damaged.
+        ResourceError: the device is not there.
+    """
+    name, settings = _parse(model)
+    given = {"k": k, "order": order, "iterations": iterations} | settings
+    chosen = {key: value for key, value in given.items() if value is not None}
+    for key, value in (chosen | {"batch_size": batch_size, "threads": threads}).items():
+        if value is not None and value < 1:
+            raise UsageError(f"{key} must be at least 1, not {value}")
+    network = None if name in CLASSICAL else _load(name)
+    kind = _KINDS[name if network is None else network.architecture]
+    if not kind.runs_on_gpu and device not in ("auto", "cpu"):
+        raise UsageError(f"the model {name} runs on the CPU: leave out the option device, or choose a patch network")
+    return kind.build(model, network, _only(chosen, name, kind.settings), Resources(batch_size, device, threads))
+
+
+def model_names() -> list[str]:
+    """List the models that have a name: classical fits and packaged networks."""
+    return [*packaged_names(), *CLASSICAL]
+
+
+def model_file(model: str) -> Path | None:
+    """Find the file that a model, given as to `make_estimator`, is loaded from; None for "pca" and "jet".
+
+    Raises:
+        UsageError, ModelError: as `make_estimator`.
+    """
+    name, _ = _parse(model)
+    return None if name in CLASSICAL else resolve(name, CLASSICAL)
+
+
+def _load(name: str) -> Any:
+    path = resolve(name, CLASSICAL)
+    from jetnormal.networks.checkpoint import load_model  # brings PyTorch along
+
+    return load_model(path)
+
+
+def _parse(model: str) -> tuple[str, dict[str, int]]:
+    """Split "name:key=value,..." at its last colon; a path may hold colons of its own."""
+    name, colon, text = model.rpartition(":")
+    if not colon or "=" not in text or Path(model).exists():
+        return model, {}
+    settings = {}
+    for item in text.split(","):
+        key, _, value = item.partition("=")
+        if key not in SETTINGS or not value.isdigit():
+            raise UsageError(f"{model}: {item!r} is no setting; write k=, order= or iterations= and a number")
+        settings[key] = int(value)
+    return name, settings
+
+
+def _only(chosen: dict[str, int], model: str, allowed: tuple[str, ...]) -> dict[str, int]:
+    """The chosen settings, all of which the model must have; one iteration is what every model does."""
+    for key in chosen:
+        if key not in allowed and not (key == "iterations" and chosen[key] == 1):
+            raise UsageError(f"the model {model} has no option {key}; it takes {' and '.join(allowed)}")
+    return {key: value for key, value in chosen.items() if key in allowed}
+
+
+def _pca(_model: str, _network: None, settings: dict[str, int], resources: Resources) -> Estimator:
+    from jetnormal.estimators.patchwise import pca_estimator
+
+    return pca_estimator(**settings, batch_size=resources.batch_size, threads=resources.threads)
+
+
+def _jet(_model: str, _network: None, settings: dict[str, int], resources: Resources) -> Estimator:
+    from jetnormal.estimators.patchwise import jet_estimator
+
+    return jet_estimator(**settings, batch_size=resources.batch_size, threads=resources.threads)
+
+
+def _patch_network(model: str, network: Any, settings: dict[str, int], resources: Resources) -> Estimator:
+    from jetnormal.estimators.patchwise import network_estimator
+    from jetnormal.support.device import resolve_device
+
+    return network_estimator(
+        model,
+        network,
+        **settings,
+        batch_size=resources.batch_size,
+        device=resolve_device(resources.device),
+        threads=resources.threads,
+    )
+
+
+def _whole_cloud(model: str, network: Any, settings: dict[str, int], resources: Resources) -> Estimator:
+    from jetnormal.estimators.whole_cloud import FIT_ROWS, CloudEstimator
+
+    batch_size = resources.batch_size or FIT_ROWS
+    return CloudEstimator(model, network, **settings, batch_size=batch_size, threads=resources.threads)
+
+
+_KINDS = {
+    "pca": _Kind(("k",), False, _pca),
+    "jet": _Kind(("k", "order"), False, _jet),
+    "patchfit": _Kind(("k", "iterations"), True, _patch_network),
+    "cloudfit": _Kind(("iterations",), False, _whole_cloud),
+}
+"""By name, and networks by their architecture."""
