@@ -45,9 +45,9 @@ class MeshSampler:
         areas = np.linalg.norm(doubled, axis=1) / 2
         self._cumulative_area = np.cumsum(areas)
         inward = _encloses_negative_volume(corners, doubled)
-        self._mesh = mesh
-        self._face_normals = _unit(-doubled if inward else doubled)
-        self._corner_normals = _corner_normals(mesh.faces, corners, self._face_normals)
+        self.mesh = mesh
+        self.face_normals = _unit(-doubled if inward else doubled)
+        self._corner_normals = _corner_normals(mesh.faces, corners, self.face_normals)
 
     @property
     def area(self) -> float:
@@ -62,10 +62,19 @@ class MeshSampler:
         u, v = rng.random((2, count))
         outside = u + v > 1
         u[outside], v[outside] = 1 - u[outside], 1 - v[outside]
-        weights = np.stack([1 - u - v, u, v], axis=1)[:, None, :]  # barycentric, (count, 1, 3)
-        points = (weights @ self._mesh.vertices[self._mesh.faces[face]])[:, 0]
+        return self.at(face, u, v)
+
+    def at(
+        self, face: NDArray[np.int64], u: NDArray[np.float64], v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return points (N, 3) on faces (N,) and their unit normals (N, 3).
+
+        A point is (1 - u - v) a + u b + v c, where a, b and c are the corners of its face.
+        """
+        weights = np.stack([1 - u - v, u, v], axis=1)[:, None, :]
+        points = (weights @ self.mesh.vertices[self.mesh.faces[face]])[:, 0]
         normals = (weights @ self._corner_normals[face])[:, 0]
-        return points, _unit(normals, otherwise=self._face_normals[face])
+        return points, _unit(normals, otherwise=self.face_normals[face])
 
 
 def _corner_normals(

@@ -1,4 +1,4 @@
-"""Sources of clouds with known normals: PCPNet folders, folders of meshes and procedural solids.
+"""Sources of clouds with known normals: PCPNet folders, meshes and procedural solids, sampled or scanned.
 
 A source is a pure function: `source.cloud(epoch, index, seed)` is the same cloud whenever it is asked for,
 so that a resumed training sees the data it would have seen, and clouds may be made ahead in a thread.
@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from jetnormal.data.corruption import Surface, scan
 from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
+from jetnormal.data.scanners import random_scan
 from jetnormal.data.solids.recipes import random_solid
+from jetnormal.data.targets import MeshTarget
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import MESH_SUFFIXES
 from jetnormal.formats.pcpnet import cloud_names, read_cloud
@@ -37,12 +39,17 @@ class LabeledCloud:
         points: (N, 3) float64.
         normals: (N, 3) float64, outward unit normals of the clean surface.
         queries: (Q,) int64 indices of the points to evaluate; None means all.
+        sensors: (N, 3) float64 place of the sensor that saw each point; None where there was none.
+        labeled: (N,) bool, False for outliers and other points that lie on no surface, whose normals nothing should
+            be learned from; None means that all are labeled.
     """
 
     name: str
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     queries: NDArray[np.int64] | None = None
+    sensors: NDArray[np.float64] | None = None
+    labeled: NDArray[np.bool_] | None = None
 
 
 class DataSource(Protocol):
@@ -124,8 +131,7 @@ class MeshFolder:
         Raises:
             InputError: The mesh cannot be used.
         """
-        tour, stop = divmod(epoch * self.clouds_per_epoch + index, len(self.paths))
-        path = self.paths[np.random.default_rng([seed, tour]).permutation(len(self.paths))[stop]]
+        path = _toured(self.paths, epoch * self.clouds_per_epoch + index, seed)
         rng = np.random.default_rng([seed, epoch, index])
         return _drawn(path.stem, self._sampler(path), self._points, rng)
 
@@ -141,6 +147,46 @@ class SyntheticSolids:
         """See `DataSource.cloud`."""
         rng = np.random.default_rng([seed, epoch, index])
         return _drawn("solid", random_solid(rng), self._points, rng)
+
+
+class ScannedSurfaces:
+    """Clouds scanned anew in each epoch by virtual scanners from the meshes of folders, each mesh equally often."""
+
+    def __init__(
+        self,
+        directories: Sequence[Path | str],
+        clouds_per_epoch: int = CLOUDS_PER_EPOCH,
+        points: int = POINTS_PER_CLOUD,
+    ) -> None:
+        """Find the meshes; the 64 used last are kept in memory.
+
+        Args:
+            directories: Folders of meshes.
+            clouds_per_epoch: Clouds drawn in an epoch.
+            points: Largest number of points of a cloud.
+
+        Raises:
+            InputError: There is no mesh in a folder.
+        """
+        for directory in directories:
+            if not meshes_in(Path(directory)):
+                raise InputError(f"{directory}: holds no meshes ({' '.join(MESH_SUFFIXES)})")
+        self.paths = [path for directory in directories for path in meshes_in(Path(directory))]
+        self.clouds_per_epoch = clouds_per_epoch
+        self._points = points
+        self._target = lru_cache(maxsize=64)(_load_target)
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`.
+
+        Raises:
+            InputError: The mesh cannot be used.
+            ResourceError: Open3D, which casts the rays, cannot be loaded.
+        """
+        path = _toured(self.paths, epoch * self.clouds_per_epoch + index, seed)
+        scan = random_scan(self._target(path), self._points, np.random.default_rng([seed, epoch, index]))
+        name = f"{path.stem}_{scan.kind}"
+        return LabeledCloud(name, scan.points, scan.normals, sensors=scan.sensors, labeled=scan.labeled)
 
 
 class Mixture:
@@ -253,6 +299,16 @@ class _Subset:
 def _drawn(name: str, surface: Surface, largest: int, rng: np.random.Generator) -> LabeledCloud:
     points, normals, kind = scan(surface, largest, rng)
     return LabeledCloud(f"{name}_{kind}", points, normals)
+
+
+def _toured(paths: Sequence[Path], position: int, seed: int) -> Path:
+    """The path at a position of tours that visit all paths, each in an order of its own."""
+    tour, stop = divmod(position, len(paths))
+    return paths[np.random.default_rng([seed, tour]).permutation(len(paths))[stop]]
+
+
+def _load_target(path: Path) -> MeshTarget:
+    return MeshTarget(_load_sampler(path))
 
 
 def _load_sampler(path: Path) -> MeshSampler:

@@ -8,6 +8,7 @@ from jetnormal.data.sources import (
     MeshFolder,
     Mixture,
     PcpnetFolder,
+    ScannedSurfaces,
     SyntheticSolids,
     open_dataset,
 )
@@ -223,3 +224,21 @@ def test_unusable_folders_are_refused(tmp_path):
         MeshFolder(tmp_path)
     with pytest.raises(UsageError, match="no training data"):
         open_dataset([])
+
+
+def test_scanned_surfaces_are_a_pure_function(tmp_path):
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    np.savez(tmp_path / "wedge.npz", vertices=vertices, faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    source = ScannedSurfaces([tmp_path], clouds_per_epoch=3, points=2000)
+    cloud = source.cloud(2, 1, seed=5)
+    again = ScannedSurfaces([tmp_path], clouds_per_epoch=3, points=2000).cloud(2, 1, seed=5)
+    np.testing.assert_array_equal(cloud.points, again.points)
+    assert cloud.name == again.name and cloud.name.startswith("wedge_")
+    assert cloud.sensors.shape == cloud.points.shape and cloud.labeled.shape == (len(cloud.points),)
+    other = source.cloud(2, 2, seed=5)
+    assert other.points.shape != cloud.points.shape or not np.array_equal(other.points, cloud.points)
+
+
+def test_scanned_surfaces_need_meshes(tmp_path):
+    with pytest.raises(InputError, match="holds no meshes"):
+        ScannedSurfaces([tmp_path])
