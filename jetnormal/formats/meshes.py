@@ -1,9 +1,8 @@
-"""Mesh files: PLY, OBJ, STL, OFF and GLB are written, and read with Open3D; NPZ is read."""
+"""Mesh files: PLY, OBJ, STL, OFF and GLB are written and read; glTF with its buffers beside it, and NPZ, are read."""
 
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
@@ -12,23 +11,24 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.errors import InputError
+from jetnormal.errors import InputError, ResourceError
 from jetnormal.formats import atomic
+from jetnormal.formats.mesh_readers import READERS, to_light
 from jetnormal.mesh import Mesh
-from jetnormal.support.open3d_loader import import_open3d
 
 Rows = NDArray[Any]
 SINGLE_PRECISION_LOSS = 1e-5  # of a mesh's size: an error of coordinates that is worth a warning
 
 
 def read_mesh(path: str | PathLike[str]) -> Mesh:
-    """Reads a triangle mesh from .ply, .obj, .off, .stl, .glb, or .npz (arrays `vertices` and `faces`).
+    """Read a triangle mesh from .ply, .obj, .off, .stl, .glb, .gltf, or .npz (arrays `vertices` and `faces`).
 
-    Polygons become triangles. The colors of vertices are kept, textures are not.
+    Polygons become triangles, fans around their first corner. The colors of vertices are kept, textures are not.
 
     Raises:
         InputError: the file is missing, of another type or unreadable, has no faces, has vertices that are
             not finite, or faces that name vertices which do not exist.
+        ResourceError: it does not fit into memory.
     """
     path = Path(path)
     if not path.is_file():
@@ -36,7 +36,12 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
         raise InputError(f"{path}: not a mesh format that is read here ({' '.join(MESH_SUFFIXES)})")
-    mesh = _read_npz(path) if suffix == ".npz" else _read_with_open3d(path)
+    try:
+        mesh = READERS[suffix](path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    except MemoryError as error:
+        raise ResourceError(f"{path}: does not fit into memory; use a smaller mesh") from error
     vertices, faces = mesh.vertices, mesh.faces
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or len(faces) == 0:
         raise InputError(f"{path}: holds no triangles; vertices and faces must be of shape (V, 3) and (F, 3)")
@@ -88,28 +93,6 @@ def _writer(path: Path) -> Callable[[Mesh, BinaryIO], list[str]]:
     if writer is None:
         raise InputError(f"{path}: {path.suffix!r} is no suffix of a mesh; choose from {' '.join(_WRITERS)}")
     return writer
-
-
-def _read_npz(path: Path) -> Mesh:
-    try:
-        with np.load(path) as arrays:
-            return Mesh(arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64))
-    except KeyError:
-        raise InputError(f"{path}: lacks one of the arrays 'vertices' and 'faces'") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not a readable .npz file ({error})") from error
-
-
-def _read_with_open3d(path: Path) -> Mesh:
-    open3d = import_open3d()
-    if open3d is None:
-        raise InputError(f"{path}: this mesh format needs Open3D; meshes in .npz do not")
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        mesh = open3d.io.read_triangle_mesh(path)  # an unreadable file gives an empty mesh
-    colors = np.array(mesh.vertex_colors, dtype=np.float64) if mesh.has_vertex_colors() else None
-    if colors is not None and path.suffix.lower() == ".glb":
-        colors = _to_screen(colors)
-    return Mesh(np.array(mesh.vertices, dtype=np.float64), np.array(mesh.triangles, dtype=np.int64), colors)
 
 
 def _bytes(colors: Rows) -> Rows:
@@ -197,7 +180,7 @@ def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
         "NORMAL": mesh.vertex_normals().astype("<f4"),
     }
     if mesh.colors is not None:
-        arrays["COLOR_0"] = np.pad(_to_light(mesh.colors), ((0, 0), (0, 1)), constant_values=1).astype("<f4")
+        arrays["COLOR_0"] = np.pad(to_light(mesh.colors), ((0, 0), (0, 1)), constant_values=1).astype("<f4")
     arrays["indices"] = mesh.faces.astype("<u4").reshape(-1, 1)
     kinds = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
     views: list[dict[str, Any]] = []
@@ -239,16 +222,6 @@ def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
     return []
 
 
-def _to_light(colors: Rows) -> Rows:
-    """Screen colors (sRGB) as amounts of light, which glTF's are."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
-
-
-def _to_screen(light: Rows) -> Rows:
-    """The reverse of `_to_light`."""
-    return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
-
-
 _WRITERS: dict[str, Callable[[Mesh, BinaryIO], list[str]]] = {
     ".ply": _write_ply,
     ".obj": _write_obj,
@@ -256,4 +229,4 @@ _WRITERS: dict[str, Callable[[Mesh, BinaryIO], list[str]]] = {
     ".off": _write_off,
     ".glb": _write_glb,
 }
-MESH_SUFFIXES = (".npz", *_WRITERS)
+MESH_SUFFIXES = tuple(READERS)
