@@ -14,7 +14,8 @@ from jetnormal.support.report import logger, print_json
 def dataset(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to create.")],
     meshes: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of meshes (.ply .obj .off .stl .npz), a shape each.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of meshes (.ply .obj .off .stl .glb .gltf .npz), a shape each."),
     ] = None,
     synthetic: Annotated[int, typer.Option(min=0, metavar="N", help="Number of procedural solids, a shape each.")] = 0,
     points: Annotated[int, typer.Option(min=3, metavar="N", help="Points of each cloud.")] = 100_000,
@@ -25,7 +26,7 @@ def dataset(
         Literal["test", "training", "validation"], typer.Option(help="What the set is for: decides on its lists.")
     ] = "test",
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all that is random.")] = 1,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing folder of such clouds.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a folder that this command wrote.")] = False,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,

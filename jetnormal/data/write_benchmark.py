@@ -23,10 +23,12 @@ from jetnormal.data.sources import meshes_in
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.atomic import atomic_folder
 from jetnormal.formats.meshes import MESH_SUFFIXES
-from jetnormal.formats.pcpnet import CATEGORIES, SUFFIXES, TEST_LIST, write_cloud
+from jetnormal.formats.pcpnet import CATEGORIES, TEST_LIST, write_cloud
 from jetnormal.support.report import progress
 
 Split = Literal["test", "training", "validation"]
+MARKER = ".jetnormal-dataset"  # lists the files of a folder that was written here: no others may be replaced
+MARKER_TITLE = "# written by jetnormal dataset; its option --force replaces these files"
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def write_dataset(
         options: what is drawn.
         meshes: folder with meshes, each of which becomes a shape.
         solids: number of procedural solids, each of which becomes a shape.
-        overwrite: whether an existing folder with nothing but such clouds and lists is replaced.
+        overwrite: whether a folder is replaced that this function wrote and that holds nothing else.
 
     Returns:
         Names of the clouds.
@@ -90,11 +92,10 @@ def write_dataset(
     shapes = [*_mesh_shapes(meshes), *_solid_shapes(solids)]
     if not shapes:
         raise UsageError("there is nothing to draw points from: give a folder of meshes or a number of solids")
-    if folder.exists():
-        _check_replaceable(folder, overwrite)
+    old = _replaceable(folder, overwrite) if folder.exists() else []
     names: dict[str, list[str]] = {category: [] for category in CATEGORIES}
     total = len(shapes) * len(CATEGORIES)
-    with atomic_folder(folder) as unfinished, progress("drawing", total, "clouds") as advance:
+    with atomic_folder(folder, old) as unfinished, progress("drawing", total, "clouds") as advance:
         for index, shape in enumerate(shapes):
             rng = np.random.default_rng([options.seed, index])
             for category, points, normals in draw(shape.load(rng), options.points, rng):
@@ -105,6 +106,8 @@ def write_dataset(
                 advance(1)
         for list_file, members in _lists(names, options.split).items():
             (unfinished / list_file).write_bytes("".join(f"{name}\n" for name in members).encode())
+        listing = sorted(path.name for path in unfinished.iterdir())
+        (unfinished / MARKER).write_bytes("".join(f"{line}\n" for line in (MARKER_TITLE, *listing)).encode())
     return [name for members in names.values() for name in members]
 
 
@@ -166,13 +169,17 @@ def _lists(names: dict[str, list[str]], split: Split) -> dict[str, list[str]]:
     }
 
 
-def _check_replaceable(folder: Path, overwrite: bool) -> None:
-    """Refuses a file, and a folder with content unless it is to be replaced and holds clouds and lists alone."""
+def _replaceable(folder: Path, overwrite: bool) -> list[str]:
+    """The names of the files in a folder if it may be replaced: it is empty, or `write_dataset` wrote all it holds."""
     if not folder.is_dir():
         raise InputError(f"{folder}: exists and is no folder; choose another --out")
-    content = list(folder.iterdir())
+    content = sorted(path.name for path in folder.iterdir())
     if content and not overwrite:
         raise InputError(f"{folder}: already exists; use --force to replace it or choose another --out")
-    strange = [path.name for path in content if path.suffix[1:] not in (*SUFFIXES, "txt") or path.is_dir()]
+    marker = folder / MARKER
+    lines = marker.read_text(errors="replace").splitlines() if marker.is_file() else []
+    listed = lines[1:] if lines[:1] == [MARKER_TITLE] else []
+    strange = [name for name in content if name not in (*listed, MARKER) or not (folder / name).is_file()]
     if strange:
-        raise InputError(f"{folder}: holds more than clouds and their lists ({strange[0]}); choose another --out")
+        raise InputError(f"{folder}: holds what jetnormal did not write ({strange[0]}); choose another --out")
+    return content

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+import stat
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,13 +24,16 @@ def check_target(path: Path, overwrite: bool) -> None:
     """
     try:
         problem = _find_problem(path, path.resolve().parent, overwrite)
-    except OSError as error:  # the name is too long, a folder on the way may not be entered
-        problem = f"cannot be written ({error.strerror or error}); choose another output"
+    except (OSError, RuntimeError) as error:  # the name is too long, a folder on the way may not be entered, a loop
+        reason = error.strerror if isinstance(error, OSError) else None
+        problem = f"cannot be written ({reason or error}); choose another output"
     if problem:
         raise InputError(f"{path}: {problem}")
 
 
 def _find_problem(path: Path, folder: Path, overwrite: bool) -> str | None:
+    with suppress(FileNotFoundError, NotADirectoryError):
+        path.stat()  # `exists` would be silent about a link that leads to itself
     if path.is_dir():
         return "is a folder; name a file in it"
     if path.exists() and not path.is_file():
@@ -54,48 +59,80 @@ def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
     """
     check_target(path, overwrite)
     target = path.resolve()
-    temporary = target.with_name(f".{target.name[:100]}.{os.getpid()}.tmp")
+    mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
+    temporary = _unfinished(target)
     try:
-        with temporary.open("wb") as stream:
+        with _create(temporary, mode) as stream:
             yield stream
-        if target.exists():
-            shutil.copymode(target, temporary)
         temporary.replace(target)
     except OSError as error:
-        advice = "free some space" if error.errno == errno.ENOSPC else "choose another output"
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); {advice}") from error
+        raise _writing_failed(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
+def _unfinished(target: Path) -> Path:
+    """A name beside the target that nobody can guess: another process, machine or user may write there, too."""
+    return target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}.tmp")
+
+
+def _create(path: Path, mode: int | None) -> BinaryIO:
+    """A new file, never what a link leads to, that from the start nobody may read who may not in the end."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(path, flags, 0o666 if mode is None else mode & 0o600)
+    stream = os.fdopen(descriptor, "w+b")
+    if mode is not None:
+        path.chmod(mode)
+    return stream
+
+
+def _writing_failed(path: Path, error: OSError) -> InputError:
+    advice = "free some space" if error.errno == errno.ENOSPC else "choose another output"
+    return InputError(f"{path}: cannot be written ({error.strerror or error}); {advice}")
+
+
 @contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
+def atomic_folder(path: Path, replaceable: Collection[str] = ()) -> Iterator[Path]:
     """Makes a temporary folder beside `path` that takes its name when the block ends without an exception.
 
-    A folder that is there already is replaced then, so that the caller must have asked for that. On any exception,
-    Ctrl-C included, the temporary folder is removed and `path` stays as it was.
+    On any exception, Ctrl-C included, the temporary folder is removed and `path` stays as it was.
+
+    Args:
+        path: the folder.
+        replaceable: names of the files in a folder of that name that may be removed; no others are.
 
     Raises:
-        InputError: if the folder above is missing or not writable, or if writing fails.
+        InputError: if the folder above is missing or not writable, if writing fails, or if the folder that is there
+            holds anything else.
     """
     target = path.resolve()
-    unfinished, replaced = (target.with_name(f".{target.name[:100]}.{os.getpid()}.{end}") for end in ("tmp", "old"))
+    unfinished = _unfinished(target)
     try:
         unfinished.mkdir()
         yield unfinished
         if target.exists():
-            target.rename(replaced)
-        try:
+            _replace_folder(target, unfinished, replaceable)
+        else:
             unfinished.rename(target)
-        except OSError:
-            if replaced.exists():
-                replaced.rename(target)
-            raise
     except FileNotFoundError as error:
         raise InputError(f"{path}: the folder {target.parent} does not exist; create it first") from error
     except OSError as error:
-        advice = "free some space" if error.errno == errno.ENOSPC else "choose another output"
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); {advice}") from error
+        raise _writing_failed(path, error) from error
     finally:
-        for leftover in (unfinished, replaced):
-            shutil.rmtree(leftover, ignore_errors=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _replace_folder(target: Path, finished: Path, replaceable: Collection[str]) -> None:
+    replaced = finished.with_suffix(".old")
+    target.rename(replaced)
+    try:
+        strange = sorted({entry.name for entry in replaced.iterdir()} - set(replaceable))
+        if strange:
+            raise InputError(f"{target}: holds {strange[0]}, which is not to be replaced; choose another output")
+        finished.rename(target)
+    except BaseException:
+        replaced.rename(target)
+        raise
+    for entry in replaced.iterdir():
+        entry.unlink()
+    replaced.rmdir()

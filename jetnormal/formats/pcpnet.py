@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from jetnormal.errors import InputError
 
 TEST_LIST = "testset_all.txt"
-SUFFIXES = ("xyz", "normals", "pidx")
 
 
 @dataclass(frozen=True)

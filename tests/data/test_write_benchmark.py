@@ -80,7 +80,7 @@ def test_the_same_seed_gives_the_same_bytes(meshes, tmp_path):
     assert first == same
     assert first.keys() == other.keys()
     different = {name for name in first if first[name] != other[name]}
-    assert different == {name for name in first if not name.endswith(".txt")}
+    assert different == {name for name in first if not name.endswith((".txt", "dataset"))}
 
 
 def test_training_lists_are_those_that_training_knows(tmp_path):
@@ -102,11 +102,39 @@ def test_an_existing_folder_is_replaced_only_if_asked_and_only_if_it_is_such_a_s
         write_dataset(folder, SMALL, solids=1)
     assert content(folder) == before
     write_dataset(folder, SMALL, solids=1, overwrite=True)
-    assert len(content(folder)) == 6 * 3 + 7
-    (folder / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match=r"holds more than clouds and their lists \(thesis\.tex\)"):
+    assert len(content(folder)) == 6 * 3 + 7 + 1
+    (folder / "scan.xyz").write_text("0 0 0")
+    with pytest.raises(InputError, match=r"holds what jetnormal did not write \(scan\.xyz\)"):
         write_dataset(folder, SMALL, solids=1, overwrite=True)
-    assert (folder / "thesis.tex").read_text() == "years of work"
+    assert (folder / "scan.xyz").read_text() == "0 0 0"
+
+
+@pytest.mark.parametrize("title", [None, "", "precious.txt\n"])
+def test_only_what_was_written_here_is_replaced(tmp_path, title):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "precious.txt").write_text("mine")
+    if title is not None:
+        (folder / generation.MARKER).write_text(title)
+    with pytest.raises(InputError, match="did not write"):
+        write_dataset(folder, SMALL, solids=1, overwrite=True)
+    assert (folder / "precious.txt").read_text() == "mine"
+
+
+def test_what_appears_in_a_folder_meanwhile_is_not_lost(tmp_path, monkeypatch):
+    folder = tmp_path / "out"
+    write_dataset(folder, SMALL, solids=1)
+
+    def write_beside(*arguments):
+        (folder / "precious.txt").write_text("mine")
+        return write_cloud(*arguments)
+
+    write_cloud = generation.write_cloud
+    monkeypatch.setattr(generation, "write_cloud", write_beside)
+    with pytest.raises(InputError, match=r"precious\.txt"):
+        write_dataset(folder, SMALL, solids=1, overwrite=True)
+    assert (folder / "precious.txt").read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 @pytest.mark.parametrize("problem", [KeyboardInterrupt, InputError("bad")])

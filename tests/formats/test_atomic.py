@@ -98,7 +98,7 @@ def test_a_folder_without_write_permission(tmp_path):
 def test_a_folder_appears_when_it_is_complete(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "old").touch()
-    with atomic_folder(tmp_path / "out") as folder:
+    with atomic_folder(tmp_path / "out", ["old"]) as folder:
         (folder / "new").touch()
         assert [path.name for path in (tmp_path / "out").iterdir()] == ["old"]
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["new"]
@@ -109,7 +109,7 @@ def test_a_folder_appears_when_it_is_complete(tmp_path):
 def test_any_failure_leaves_the_old_folder_and_no_other(tmp_path, problem):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "old").touch()
-    with pytest.raises(problem), atomic_folder(tmp_path / "out") as folder:
+    with pytest.raises(problem), atomic_folder(tmp_path / "out", ["old"]) as folder:
         (folder / "new").touch()
         raise problem
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["old"]
@@ -122,3 +122,49 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(InputError, match="free some space"), atomic_folder(tmp_path / "a"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_with_anything_else_stays(tmp_path):
+    (tmp_path / "out").mkdir()
+    for name in ("old", "mine"):
+        (tmp_path / "out" / name).touch()
+    with pytest.raises(InputError, match="holds mine"), atomic_folder(tmp_path / "out", ["old"]) as folder:
+        (folder / "new").touch()
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["mine", "old"]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
+    """Whoever guesses the temporary name still does not get the content into another file."""
+    monkeypatch.setattr("secrets.token_hex", lambda size: "guessed")
+    (tmp_path / "precious").write_bytes(b"mine")
+    (tmp_path / ".out.bin.guessed.tmp").symlink_to(tmp_path / "precious")
+    with pytest.raises(InputError, match="cannot be written"), atomic_write(tmp_path / "out.bin") as stream:
+        stream.write(b"new")
+    assert (tmp_path / "precious").read_bytes() == b"mine"
+
+
+def test_writers_of_one_file_do_not_tear_it(tmp_path):
+    path = tmp_path / "out.bin"
+    with atomic_write(path) as first, atomic_write(path) as second:
+        first.write(b"1" * 10)
+        second.write(b"2" * 10)
+        first.write(b"1" * 10)
+    assert path.read_bytes() in (b"1" * 20, b"2" * 10)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out.bin"]
+
+
+def test_what_nobody_else_may_read_never_lies_open(tmp_path):
+    path = tmp_path / "out.bin"
+    path.touch(mode=0o600)
+    with atomic_write(path, overwrite=True) as stream:
+        (unfinished,) = (entry for entry in tmp_path.iterdir() if entry != path)
+        stream.write(b"secret")
+        assert unfinished.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_loop_of_links_is_an_input_error(tmp_path):
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    with pytest.raises(InputError, match="cannot be written"):
+        check_target(tmp_path / "a", overwrite=True)
