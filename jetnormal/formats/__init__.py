@@ -1,70 +1,96 @@
-"""Point-cloud files: which suffix means which format, reading, and writing without losing anything."""
+"""Point-cloud files: reading, and writing without losing anything. `registry` tells how to add a format."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any
 
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError, ResourceError, UsageError
-from jetnormal.formats import atomic, pcd, ply, ply_header, text
+from jetnormal.formats import atomic
+from jetnormal.formats.registry import Format, all_formats, find_format, suffixes
+
+__all__ = ["Format", "all_formats", "check_target", "find_format", "read", "suffixes", "write"]
+
+STREAM = "-"
+"""Standard input or standard output in the place of a file."""
+
+_IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-class Codec(NamedTuple):
-    """How one suffix is read and written."""
+def read(
+    path: str | PathLike[str], *, format: str | None = None, columns: str | None = None, decimal: str | None = None
+) -> Cloud:
+    """Read a point cloud.
 
-    format: str
-    read: Callable[[Path], Cloud]
-    write: Callable[[Cloud, BinaryIO, str], list[str]]
-    """Cloud, stream, encoding -> what could not be kept."""
-    encodings: tuple[str, ...]
-    """The first is the default."""
+    Rows whose coordinates are not finite are kept (`Cloud.valid` tells them), but where a format marks the points that
+    its scanner did not measure: these are left out, and `Source.notes` tells how many.
 
-
-def _text(suffix: str) -> Codec:
-    return Codec("xyz", text.read, partial(text.write, suffix=suffix), text.ENCODINGS)
-
-
-CODECS: dict[str, Codec] = {
-    ".ply": Codec("ply", ply.read, ply.write, ply_header.ENCODINGS),
-    ".pcd": Codec("pcd", pcd.read, pcd.write, pcd.ENCODINGS),
-    **{suffix: _text(suffix) for suffix in (".xyz", ".txt", ".asc", ".csv", ".pts")},
-}
-
-
-def read(path: str | PathLike[str]) -> Cloud:
-    """Reads a point cloud; the suffix, in either case, tells the format.
-
-    Rows whose coordinates are not finite are kept (`Cloud.valid` tells them).
+    Args:
+        path: the file, or "-" for standard input.
+        format: its format, such as "ply" or "kitti"; by default the suffix, in either case, tells it.
+        columns: what the columns of a text file are, in their order: "id,x,y,z,intensity,-" ("-" leaves one out); or
+            which of its names are meant: "x=Rechtswert,y=Hochwert,z=Hoehe".
+        decimal: "point" or "comma", the decimal sign of a text file; by default a comma only between semicolons.
 
     Raises:
-        InputError: if the file is missing, damaged, of an unknown suffix, or holds no coordinates.
-        ResourceError: if it does not fit into memory.
+        InputError: the file is missing, damaged, of an unknown suffix, or holds no coordinates.
+        UsageError: `columns` or `decimal` do not fit the file.
+        ResourceError: it does not fit into memory.
     """
     path = Path(path)
-    codec = _codec(path)
+    known = find_format(path, format)
+    options: dict[str, Any] = {"columns": columns, "decimal": decimal} if known.has_columns else {}
+    if not known.has_columns and (columns is not None or decimal is not None):
+        raise UsageError(f"{path}: --columns and --decimal are for text files, not for {known.name}")
     try:
-        return codec.read(path)
+        with _as_file(path) as file:
+            return known.read(file, **options)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     except MemoryError as error:
         raise ResourceError(f"{path}: does not fit into memory; split the file or use a larger machine") from error
 
 
+@contextmanager
+def _as_file(path: Path) -> Iterator[Path]:
+    """The file itself, or one that holds what came through standard input."""
+    if str(path) != STREAM:
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="jetnormal-") as folder:
+        copy = Path(folder) / "stdin"
+        with copy.open("wb") as stream:
+            shutil.copyfileobj(sys.stdin.buffer, stream)
+        try:
+            yield copy
+        except InputError as error:
+            raise InputError(str(error).replace(str(copy), "standard input")) from error
+
+
 def write(
-    cloud: Cloud, path: str | PathLike[str], *, encoding: str | None = None, overwrite: bool = False
+    cloud: Cloud,
+    path: str | PathLike[str],
+    *,
+    format: str | None = None,
+    encoding: str | None = None,
+    overwrite: bool = False,
 ) -> list[str]:
-    """Writes a point cloud with all it holds; the file appears complete or not at all.
+    """Write a point cloud with all it holds; the file appears complete or not at all.
 
     The coordinates are written in the type they were read in, bit for bit; normals take the place they had in
     the file, or follow the coordinates.
 
     Args:
         cloud: the cloud.
-        path: the target, whose suffix tells the format.
+        path: the target, or "-" for standard output.
+        format: its format; by default the suffix of `path` tells it.
         encoding: one of the format's encodings, or ``"binary"`` for its plain binary one. By default the
             encoding that the cloud was read in, as far as the format has it.
         overwrite: whether an existing file may be replaced.
@@ -73,49 +99,59 @@ def write(
         Warnings: what the format cannot hold.
 
     Raises:
-        InputError: if the file cannot be written.
-        UsageError: if the format has no such encoding.
+        InputError: the file cannot be written.
+        UsageError: the format has no such encoding.
     """
     path = Path(path)
-    codec = _codec(path)
-    chosen = _choose_encoding(cloud.source, codec, encoding, path)
-    with atomic.atomic_write(path, overwrite=overwrite) as stream:
-        warnings = codec.write(cloud, stream, chosen)
-    return [f"{path}: {warning}" for warning in _losses(cloud, codec.format) + warnings]
+    known, write_cloud = _writable(path, format)
+    chosen = _choose_encoding(cloud.source, known, encoding, path)
+    if str(path) == STREAM:
+        with tempfile.TemporaryFile(prefix="jetnormal-") as stream:  # most formats go back and forth in their file
+            warnings = write_cloud(cloud, stream, chosen)
+            stream.seek(0)
+            shutil.copyfileobj(stream, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+    else:
+        with atomic.atomic_write(path, overwrite=overwrite) as stream:
+            warnings = write_cloud(cloud, stream, chosen)
+    return [f"{path}: {warning}" for warning in _losses(cloud, known.name) + warnings]
 
 
-def check_target(path: str | PathLike[str], *, encoding: str | None = None, overwrite: bool = False) -> None:
-    """Finds out before a long computation whether `write` would refuse this path or encoding.
+def check_target(
+    path: str | PathLike[str], *, format: str | None = None, encoding: str | None = None, overwrite: bool = False
+) -> None:
+    """Find out before a long computation whether `write` would refuse this path or encoding.
 
     Raises:
-        InputError: if the suffix is unknown, the file exists and may not be overwritten, or its folder is
-            missing or not writable.
-        UsageError: if the format has no such encoding.
+        InputError: the suffix is unknown or cannot hold normals, the file exists and may not be overwritten, or its
+            folder is missing or not writable.
+        UsageError: the format has no such encoding.
     """
     path = Path(path)
-    _choose_encoding(Source(), _codec(path), encoding, path)
-    atomic.check_target(path, overwrite)
+    _choose_encoding(Source(), _writable(path, format)[0], encoding, path)
+    if str(path) != STREAM:
+        atomic.check_target(path, overwrite)
 
 
-def _codec(path: Path) -> Codec:
-    codec = CODECS.get(path.suffix.lower())
-    if codec is None:
-        raise InputError(f"{path}: unknown suffix {path.suffix!r}; supported are {' '.join(sorted(CODECS))}")
-    return codec
+def _writable(path: Path, format: str | None) -> tuple[Format, Any]:
+    known = find_format(path, format)
+    if known.write is None:
+        raise InputError(f"{path}: the format {known.name} cannot hold normals; write .ply, .laz or .e57 instead")
+    return known, known.write
 
 
-def _choose_encoding(source: Source, codec: Codec, wanted: str | None, path: Path) -> str:
+def _choose_encoding(source: Source, known: Format, wanted: str | None, path: Path) -> str:
     if wanted is None:
-        if source.format == codec.format and source.encoding in codec.encodings:
+        if source.format == known.name and source.encoding in known.encodings:
             return source.encoding
         # A text table says nothing about the encoding that a PLY or PCD file should have.
-        keeps_text = source.format != "xyz" and source.encoding in codec.encodings
-        return source.encoding if keeps_text else codec.encodings[0]
-    if wanted in codec.encodings:
+        keeps_text = source.format != "xyz" and source.encoding in known.encodings
+        return source.encoding if keeps_text else known.encodings[0]
+    if wanted in known.encodings:
         return wanted
-    if wanted == "binary" and len(codec.encodings) > 1:
-        return codec.encodings[0]
-    raise UsageError(f"{path}: no encoding {wanted!r} for this suffix; choose from {', '.join(codec.encodings)}")
+    if wanted == "binary" and len(known.encodings) > 1:
+        return known.encodings[0]
+    raise UsageError(f"{path}: no encoding {wanted!r} for this suffix; choose from {', '.join(known.encodings)}")
 
 
 def _losses(cloud: Cloud, target: str) -> list[str]:
@@ -123,11 +159,9 @@ def _losses(cloud: Cloud, target: str) -> list[str]:
     source = cloud.source
     if source.format == target:
         return []
-    losses = []
-    if isinstance(source.extra, ply.PlyExtra) and source.extra.elements:
-        losses.append(f"{ply.describe_elements(source.extra.elements)} is not kept")
+    losses = list(source.extra.losses()) if hasattr(source.extra, "losses") else []
     if source.height is not None and source.height > 1:
         losses.append(f"the organisation in {source.height} rows of {source.width} points is not kept")
-    if source.viewpoint not in (None, pcd.IDENTITY):
+    if source.viewpoint not in (None, _IDENTITY):
         losses.append("the viewpoint is not kept")
     return losses

@@ -13,7 +13,8 @@ def point_colors(cloud: Cloud) -> NDArray[np.float64] | None:
     """The cloud's own colors, (N, 3) from 0 to 1, or None.
 
     They are the attributes red, green and blue, or PCL's packed rgb or rgba. Whole numbers reach up to what their
-    type holds, those of wider types than 16 bits to 255; fractions reach up to 1, or to 255 where any exceeds 1.
+    type holds, those of wider types than 16 bits to 255, and so do those of 16 bits where none exceeds 255, as many
+    programs store bytes in LAS files; fractions reach up to 1, or to 255 where any exceeds 1.
     """
     channels = unpack_colors(cloud.attributes)
     if not len(cloud) or any(name not in channels or channels[name].ndim != 1 for name in COLORS):
@@ -22,7 +23,7 @@ def point_colors(cloud: Cloud) -> NDArray[np.float64] | None:
     if colors.dtype.kind not in "uif":
         return None
     if colors.dtype.kind == "u" and colors.dtype.itemsize <= 2:
-        full = float(np.iinfo(colors.dtype).max)
+        full = float(np.iinfo(colors.dtype).max) if colors.max() > 255 else 255.0
     else:
         full = 1.0 if colors.dtype.kind == "f" and np.nanmax(colors) <= 1 else 255.0
     return np.clip(np.nan_to_num(colors.astype(np.float64)) / full, 0, 1)

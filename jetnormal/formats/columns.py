@@ -17,7 +17,12 @@ Columns = dict[str, NDArray[Any]]
 
 COORDINATES = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
-_NORMAL_SPELLINGS = (NORMALS, ("normal_x", "normal_y", "normal_z"), ("normalx", "normaly", "normalz"))
+_NORMAL_SPELLINGS = (
+    NORMALS,
+    ("normal_x", "normal_y", "normal_z"),
+    ("normalx", "normaly", "normalz"),
+    ("normal x", "normal y", "normal z"),
+)
 
 
 def unique_name(name: str, taken: Collection[str]) -> str:

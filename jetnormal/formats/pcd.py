@@ -18,6 +18,7 @@ from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats import lzf
 from jetnormal.formats.columns import Columns, cloud_from_columns, columns_from_cloud, unique_name
+from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import pack_colors, to_storable
 from jetnormal.formats.table import format_rows, read_table
 
@@ -270,3 +271,6 @@ def _body(columns: Columns, encoding: str) -> Iterator[bytes | memoryview]:
             raise InputError("a compressed PCD file holds at most 4 GiB; choose the encoding 'binary'")
         packed = lzf.compress(fields)
         yield struct.pack("<II", len(packed), len(fields)) + packed
+
+
+FORMATS = (Format("pcd", (".pcd",), read, write, ENCODINGS),)

@@ -19,8 +19,9 @@ import numpy as np
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats.columns import NORMALS, Columns, cloud_from_columns, columns_from_cloud
-from jetnormal.formats.ply_header import BYTE_ORDERS, TYPE_NAMES, Element, Header, Property, read_header
+from jetnormal.formats.ply_header import BYTE_ORDERS, ENCODINGS, TYPE_NAMES, Element, Header, Property, read_header
 from jetnormal.formats.ply_rows import format_element, read_element
+from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import to_storable, unpack_colors
 
 
@@ -47,6 +48,10 @@ class PlyExtra:
     points: int
     path: Path
     header_lines: int
+
+    def losses(self) -> list[str]:
+        """Name what other formats cannot hold."""
+        return [f"{describe_elements(self.elements)} is not kept"] if self.elements else []
 
 
 def read(path: Path) -> Cloud:
@@ -171,3 +176,6 @@ def _vertex_element(columns: Columns, length_types: dict[str, str]) -> Element:
         kinds = {np.asarray(row).dtype.newbyteorder("=") for row in values}
         properties.append(Property(name, np.result_type(*kinds).str[1:] if kinds else "f4", length_type))
     return Element("vertex", len(columns["x"]), tuple(properties))
+
+
+FORMATS = (Format("ply", (".ply",), read, write, ENCODINGS),)

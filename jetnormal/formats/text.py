@@ -29,6 +29,7 @@ from jetnormal.formats.columns import (
     columns_from_cloud,
     unique_name,
 )
+from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import COLORS, to_storable, unpack_colors
 from jetnormal.formats.table import format_rows, read_table
 from jetnormal.formats.text_header import Preamble, read_preamble
@@ -262,3 +263,9 @@ def _new_style(suffix: str, has_attributes: bool) -> Style:
 
 def _encode(line: str) -> bytes:
     return line.encode("utf-8", "surrogateescape") + b"\n"
+
+
+FORMATS = tuple(
+    Format("xyz", (suffix,), read, partial(write, suffix=suffix), ENCODINGS)
+    for suffix in (".xyz", ".txt", ".asc", ".csv", ".pts")
+)

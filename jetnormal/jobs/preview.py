@@ -148,10 +148,10 @@ def _scene(subject: Cloud | Mesh, coloring: str) -> Scene:
 def _read(path: Path) -> Cloud | Mesh:
     """The mesh in a file, or the cloud if it is one."""
     suffix = path.suffix.lower()
-    if suffix in formats.CODECS and not (suffix == ".ply" and _has_faces(path)):
+    if suffix in formats.suffixes() and not (suffix == ".ply" and _has_faces(path)):
         return formats.read(path)
     if suffix not in MESH_SUFFIXES:
-        known = sorted({*formats.CODECS, *MESH_SUFFIXES})
+        known = sorted({*formats.suffixes(), *MESH_SUFFIXES})
         raise InputError(f"{path}: unknown suffix {path.suffix!r}; supported are {' '.join(known)}")
     return read_mesh(path)
 

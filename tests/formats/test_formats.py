@@ -8,7 +8,7 @@ import pytest
 
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError, UsageError
-from jetnormal.formats import CODECS, check_target, read, write
+from jetnormal.formats import check_target, read, suffixes, write
 
 NORMALS = np.array([[0.0, 0, 1], [0, 0.6, 0.8], [np.nan, np.nan, np.nan]])
 TARGETS = [
@@ -120,7 +120,7 @@ def test_an_encoding_that_the_format_does_not_have(tmp_path, name, encoding):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", CODECS)
+@pytest.mark.parametrize("suffix", suffixes())
 def test_missing_files_and_folders(tmp_path, suffix):
     with pytest.raises(InputError, match="No such file"):
         read(tmp_path / f"missing{suffix}")
@@ -130,10 +130,10 @@ def test_missing_files_and_folders(tmp_path, suffix):
         read(folder)
 
 
-@pytest.mark.parametrize("name", ["scan.las", "scan", "scan.obj"])
+@pytest.mark.parametrize("name", ["scan.abc", "scan"])
 def test_an_unknown_suffix_lists_the_known_ones(tmp_path, name):
     for action in (read, check_target, lambda path: write(Cloud(np.zeros((1, 3))), path)):
-        with pytest.raises(InputError, match=r"supported are \.asc \.csv \.pcd \.ply"):
+        with pytest.raises(InputError, match=r"supported are \.asc \.csv "):
             action(tmp_path / name)
 
 

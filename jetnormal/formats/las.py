@@ -1,0 +1,395 @@
+"""LAS and LAZ, the ASPRS exchange formats of lidar data, and COPC (LAZ in the order of an octree), through laspy.
+
+Format: https://www.asprs.org/divisions-committees/lidar-division/laser-las-file-format-exchange-activities
+
+Coordinates are integers in a file, times a scale, plus an offset. Both are kept, so that the same integers are written
+again. Every record of the header (VLR, EVLR), among them the coordinate system, is carried along as the bytes it is.
+Normals are the extra dimensions ``NormalX NormalY NormalZ``, as in PDAL.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.cloud import Cloud, Source
+from jetnormal.errors import InputError
+from jetnormal.formats.columns import (
+    COORDINATES,
+    NORMALS,
+    Columns,
+    canonical_names,
+    cloud_from_columns,
+    columns_from_cloud,
+)
+from jetnormal.formats.registry import Format, library, library_errors
+from jetnormal.formats.storage import COLORS, to_storable
+
+ENCODINGS = ("binary",)
+
+_NORMALS = ("NormalX", "NormalY", "NormalZ")
+_CHUNK = 1 << 20
+_TYPES = {"u1": 1, "i1": 2, "u2": 3, "i2": 4, "u4": 5, "i4": 6, "u8": 7, "i8": 8, "f4": 9, "f8": 10}
+"""The codes of the types of extra dimensions."""
+_EXTRA_BYTES = ("LASF_Spec", 4)
+_LASZIP = ("laszip encoded", 22204)
+_WAVEFORMS = ("LASF_Spec", 65535)
+_WITHOUT_WAVES = {9: 6, 10: 8}
+"""The point formats whose wave packets lazrs reads and writes wrongly (0.8.2), and the same ones without packets."""
+_WAVES = ("wavepacket_index", "wavepacket_offset", "wavepacket_size", "return_point_wave_location", "x_t", "y_t", "z_t")
+_LONGEST_NAME = 32
+_LARGEST = 2**31 - 1
+_FINEST_SCALE = 12  # decimals
+
+
+class Record(NamedTuple):
+    """A variable length record (VLR, EVLR)."""
+
+    user: str
+    number: int
+    description: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class LasExtra:
+    """What a LAS file held besides its points' numbers.
+
+    Attributes:
+        header: laspy's header, without the records.
+        records: of the header (VLRs).
+        late_records: behind the points (EVLRs).
+        spelling: the file's own names of the normals, by ``nx ny nz``.
+        copc: whether the points were in the order of an octree.
+    """
+
+    header: Any
+    records: tuple[Record, ...]
+    late_records: tuple[Record, ...]
+    spelling: dict[str, str]
+    copc: bool
+
+    def losses(self) -> list[str]:
+        """Name what other formats cannot hold."""
+        count = len(self.records) + len(self.late_records)
+        kept = f"the LAS header and its {count} records, which tell the coordinate system," if count else "the header"
+        return [f"{kept} is not kept"]
+
+
+def read(path: Path) -> Cloud:
+    """Read a LAS, LAZ or COPC file: every point, dimension and record.
+
+    Raises:
+        InputError: the file is no LAS file, is damaged, or laspy is missing.
+    """
+    with path.open("rb") as stream:
+        if stream.read(4) != b"LASF":
+            raise InputError(f"{path}: does not begin with 'LASF'; is this a LAS file?")
+        laspy = _laspy(path)
+        with library_errors(path, "laspy"):
+            records, late = _read_records(stream, path)
+            stream.seek(0)
+            with laspy.open(stream, closefd=False, read_evlrs=False) as reader:
+                _check_size(reader.header, path)
+                columns = _read_points(reader, path)
+                header = deepcopy(reader.header)
+    notes: tuple[str, ...] = ()
+    if header.are_points_compressed and header.point_format.id in _WITHOUT_WAVES:
+        columns = {name: values for name, values in columns.items() if name not in _WAVES}
+        notes = ("the wave packets, which the LAZ library reads wrongly, are left out",)
+    header.vlrs.clear()
+    header.evlrs = None
+    names = canonical_names(columns.keys(), path)
+    extra = LasExtra(
+        header,
+        tuple(record for record in records if (record.user, record.number) != _LASZIP),
+        late,
+        {canonical: name for name, canonical in names.items() if canonical in NORMALS},
+        copc=any(record.user == "copc" for record in records),
+    )
+    source = Source(format="las", encoding="binary", extra=extra, notes=notes)
+    return cloud_from_columns(columns, source, path)
+
+
+def _laspy(path: Path | str) -> Any:
+    library("lazrs", "las", path)
+    logging.getLogger("laspy").setLevel(logging.CRITICAL)  # it logs what it then raises
+    return library("laspy", "las", path)
+
+
+def _read_records(stream: BinaryIO, path: Path) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
+    """The records as bytes: laspy interprets some of them, and writes these differently."""
+    stream.seek(0)
+    head = stream.read(375)
+    size, _, count = struct.unpack_from("<HII", head, 94)
+    stream.seek(size)
+    records = tuple(_read_record(stream, "<H16sHH32s", path) for _ in range(count))
+    late: tuple[Record, ...] = ()
+    if head[25] >= 4:  # the minor version
+        start, count = struct.unpack_from("<QI", head, 235)
+        stream.seek(start)
+        late = tuple(_read_record(stream, "<H16sHQ32s", path) for _ in range(count))
+    return records, late
+
+
+def _read_record(stream: BinaryIO, layout: str, path: Path) -> Record:
+    _, user, number, length, description = struct.unpack(layout, stream.read(struct.calcsize(layout)))
+    data = stream.read(min(length, path.stat().st_size))
+    if len(data) != length:
+        raise InputError(f"{path}: a record of the header is cut off; the file is truncated")
+    texts = (text.split(b"\0")[0].decode("utf-8", "surrogateescape") for text in (user, description))
+    return Record(next(texts), number, next(texts), data)
+
+
+def _check_size(header: Any, path: Path) -> None:
+    """Refuse a number of points that the file cannot hold; compressed points are counted as they are unpacked."""
+    size = path.stat().st_size - header.offset_to_point_data
+    if not header.are_points_compressed and header.point_count * header.point_format.size > size:
+        raise InputError(f"{path}: declares {header.point_count} points, more than its size allows; it is truncated")
+
+
+def _read_points(reader: Any, path: Path) -> Columns:
+    """The coordinates and every other dimension, in its order."""
+    names = [name for name in reader.header.point_format.dimension_names if name not in ("X", "Y", "Z")]
+    chunks = []
+    for record in reader.chunk_iterator(_CHUNK):
+        chunks.append({name: np.array(record[name]) for name in (*COORDINATES, *names)})
+    found = sum(len(chunk["x"]) for chunk in chunks)
+    if found != reader.header.point_count:
+        raise InputError(f"{path}: declares {reader.header.point_count} points but holds {found}; it is truncated")
+    if not chunks:
+        empty = reader.read_points(0)
+        chunks.append({name: np.array(empty[name]) for name in (*COORDINATES, *names)})
+    return {name: np.concatenate([chunk.pop(name) for chunk in chunks]) for name in (*COORDINATES, *names)}
+
+
+def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, compress: bool) -> list[str]:
+    """Write a LAS or LAZ file.
+
+    A cloud from such a file keeps its version, point format, scales, offsets, and records. Any other gets version 1.4
+    and the finest decimal scale that its extent allows, or a coarser one that holds its coordinates exactly.
+    Attributes that are no dimensions of the point format become extra dimensions.
+
+    Returns:
+        What could not be kept.
+    """
+    laspy = _laspy("LAS output")
+    rows = np.flatnonzero(cloud.valid)
+    warnings = []
+    if len(rows) < len(cloud):
+        warnings.append(f"{len(cloud) - len(rows)} points without finite coordinates cannot be held and are left out")
+    extra = cloud.source.extra if isinstance(cloud.source.extra, LasExtra) else None
+    spelling = extra.spelling if extra else {}
+    normal_names = tuple(spelling.get(name, new) for name, new in zip(NORMALS, _NORMALS, strict=True))
+    columns, renamed = columns_from_cloud(cloud, normal_names, np.dtype(np.float32))
+    points = cloud.points[rows]
+    columns = {name: values[rows] for name, values in columns.items() if name not in COORDINATES}
+    header = deepcopy(extra.header) if extra else _new_header(laspy, points, columns)
+    if compress and header.point_format.id in _WITHOUT_WAVES:
+        warnings.append(f"point format {header.point_format.id} is not written; any wave packets are extra dimensions")
+        _leave_waves_out(laspy, header)
+    standard, others, changed = _sort_columns(columns, header.point_format, is_new=extra is None)
+    others, converted = to_storable(others, frozenset(_TYPES), vectors=False)
+    added = _declare(laspy, header, others)
+    table = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+    for axis, name in enumerate("XYZ"):
+        table[name], exact = _to_integers(points[:, axis], header.scales[axis], header.offsets[axis])
+        if not exact:
+            warnings.append(f"{name.lower()} is rounded to multiples of {header.scales[axis]:g}")
+    if extra is None and "return_number" not in standard:
+        standard |= dict.fromkeys(("return_number", "number_of_returns"), np.ones(len(points), np.uint8))
+    for name, values in [*standard.items(), *zip(added, others.values(), strict=True)]:
+        table[name] = values
+    warnings += _write_file(laspy, header, table, extra, stream, compress)
+    return warnings + renamed + changed + converted
+
+
+def _new_header(laspy: Any, points: NDArray[np.float64], columns: Columns) -> Any:
+    is_colored = all(name in columns for name in COLORS)
+    header = laspy.LasHeader(version="1.4", point_format=7 if is_colored else 6)
+    header.global_encoding.wkt = True  # the standard wants it for these point formats
+    header.creation_date = None  # the same cloud gives the same bytes on any day
+    header.generating_software = "jetnormal"
+    header.offsets = np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
+    header.scales = np.array([_decimal_scale(points[:, axis] - header.offsets[axis]) for axis in range(3)])
+    return header
+
+
+def _leave_waves_out(laspy: Any, header: Any) -> None:
+    point_format = laspy.PointFormat(_WITHOUT_WAVES[header.point_format.id])
+    point_format.dimensions += list(header.point_format.extra_dimensions)
+    header.set_version_and_point_format(header.version, point_format)
+    header.vlrs.clear()  # with a description of the extra dimensions
+
+
+def _decimal_scale(values: NDArray[np.float64]) -> float:
+    """The coarsest power of ten of which all are multiples; else the finest that 31 bits allow."""
+    largest = float(np.abs(values).max(initial=0))
+    exponent = 0
+    while largest / 10.0**-exponent > _LARGEST:
+        exponent -= 1
+    while exponent < _FINEST_SCALE and largest * 10.0 ** (exponent + 1) <= _LARGEST:
+        scaled = values * 10.0**exponent
+        if np.abs(scaled - np.rint(scaled)).max(initial=0) < 1e-4:
+            break
+        exponent += 1
+    return float(f"1e{-exponent}")
+
+
+def _to_integers(values: NDArray[np.float64], scale: float, offset: float) -> tuple[NDArray[np.int32], bool]:
+    """Coordinates as a file's integers, and whether these give the same coordinates, but for float64's rounding."""
+    scaled = np.rint((values - offset) / scale)
+    if np.abs(scaled).max(initial=0) > _LARGEST:
+        raise InputError(
+            f"coordinates from {values.min():g} to {values.max():g} do not fit the LAS scale {scale:g} and offset "
+            f"{offset:g} of the input; write another format"
+        )
+    rounding = 4 * np.spacing(np.abs(values).max(initial=0) + abs(offset))
+    exact = bool(np.abs(scaled * scale + offset - values).max(initial=0) <= rounding)
+    return scaled.astype(np.int32), exact
+
+
+def _sort_columns(columns: Columns, point_format: Any, *, is_new: bool) -> tuple[Columns, Columns, list[str]]:
+    """What the point format has a dimension for, what it has not, and what had to be changed to fit.
+
+    Colors and intensities of other formats are spread over the 16 bits that LAS has for them.
+    """
+    there: Columns = {}
+    others: Columns = {}
+    warnings = []
+    for name, given in columns.items():
+        if name not in point_format.dimension_names:
+            others[name] = given
+            continue
+        dimension, values = point_format.dimension_by_name(name), given
+        if is_new and name in (*COLORS, "intensity"):
+            values = _to_16_bits(values, is_color=name in COLORS)
+        if not (_fits(values, dimension) if dimension.is_standard else _fits_extra(values, dimension)):
+            others[name] = given
+            continue
+        if values.dtype.kind != given.dtype.kind:
+            warnings.append(f"attribute {name!r} is scaled to 16 bits")
+        is_integer = dimension.kind.name != "FloatingPoint" and not dimension.is_scaled
+        there[name] = values.astype(np.int64) if is_integer and values.dtype.kind == "f" else values
+    return there, others, warnings
+
+
+def _to_16_bits(values: NDArray[Any], *, is_color: bool) -> NDArray[Any]:
+    if is_color and values.dtype == np.uint8:
+        return values * np.uint16(257)
+    if values.dtype.kind == "f" and values.size and values.min() >= 0 and values.max() <= 1:
+        return np.rint(values * 65535).astype(np.uint16)
+    return values
+
+
+def _fits(values: NDArray[Any], dimension: Any) -> bool:
+    if values.ndim != 1 or values.dtype.kind not in "uif":
+        return False
+    if dimension.kind.name == "FloatingPoint" or not values.size:
+        return True
+    low, high = dimension.min, dimension.max
+    return bool((values >= low).all() and (values <= high).all() and (values == np.rint(values)).all())
+
+
+def _fits_extra(values: NDArray[Any], dimension: Any) -> bool:
+    """Whether values can be stored in an extra dimension of the input; others may have taken its name since."""
+    shape = () if dimension.num_elements == 1 else (dimension.num_elements,)
+    if values.shape[1:] != shape or values.dtype.kind not in "uif":
+        return False
+    if not dimension.is_scaled:
+        return bool(np.can_cast(values.dtype, dimension.dtype.base, "same_kind"))
+    limits = np.iinfo(dimension.dtype.base) if dimension.dtype.base.kind in "iu" else np.finfo(dimension.dtype.base)
+    raw = (values - dimension.offsets) / dimension.scales
+    return bool(((raw >= limits.min) & (raw <= limits.max)).all())
+
+
+def _declare(laspy: Any, header: Any, columns: Columns) -> list[str]:
+    """Add extra dimensions of these names and types to a header; returns the names that they got there."""
+    names: list[str] = []
+    for name in columns:
+        short = name.encode()[:_LONGEST_NAME].decode(errors="ignore")
+        number = 2
+        while short in names or short in header.point_format.dimension_names:
+            ending = f"_{number}"
+            short = name.encode()[: _LONGEST_NAME - len(ending)].decode(errors="ignore") + ending
+            number += 1
+        names.append(short)
+        header.point_format.add_extra_dimension(laspy.ExtraBytesParams(short, columns[name].dtype))
+    return names
+
+
+def _write_file(
+    laspy: Any, header: Any, table: Any, extra: LasExtra | None, stream: BinaryIO, compress: bool
+) -> list[str]:
+    warnings = []
+    records, late = _records_to_write(extra, header)
+    if extra and extra.copc:
+        warnings.append("is written as plain LAZ, not as COPC: the points keep their order, their octree is not kept")
+    if extra and any((record.user, record.number) == _WAVEFORMS for record in extra.late_records):
+        header.start_of_waveform_data_packet_record = 0
+        warnings.append("the waveforms are not kept")
+    header.vlrs.extend(_as_vlr(laspy, record) for record in records)
+    writer = laspy.LasWriter(stream, header, do_compress=compress, closefd=False)
+    writer.write_points(table)
+    if late:
+        writer.write_evlrs(laspy.vlrs.vlrlist.VLRList([_as_vlr(laspy, record) for record in late]))
+    if extra:
+        given, found = ([header.mins, header.maxs] for header in (extra.header, writer.header))
+        if np.allclose(given, found, rtol=0, atol=extra.header.scales / 2):
+            writer.header.mins, writer.header.maxs = given  # as exact as they were
+    writer.close()
+    _write_legacy_counts(stream, writer.header)
+    return warnings
+
+
+def _write_legacy_counts(stream: BinaryIO, header: Any) -> None:
+    """Repeat the numbers of points where readers of version 1.3 look: laspy leaves them 0 in version 1.4."""
+    if header.version.minor >= 4 and header.point_format.id < 6 and header.point_count <= 0xFFFFFFFF:
+        stream.seek(107)
+        stream.write(struct.pack("<6I", header.point_count, *header.number_of_points_by_return[:5]))
+        stream.seek(0, 2)
+
+
+def _as_vlr(laspy: Any, record: Record) -> Any:
+    return laspy.VLR(record.user, record.number, record.description, record.data)
+
+
+def _records_to_write(extra: LasExtra | None, header: Any) -> tuple[list[Record], list[Record]]:
+    """The records of the input, with the extra dimensions that were added described behind its own."""
+    records = [record for record in extra.records if record.user != "copc"] if extra else []
+    late = [r for r in extra.late_records if r.user != "copc" and (r.user, r.number) != _WAVEFORMS] if extra else []
+    known = {dimension.name for dimension in extra.header.point_format.extra_dimensions} if extra else set()
+    new = b"".join(
+        _describe(dimension) for dimension in header.point_format.extra_dimensions if dimension.name not in known
+    )
+    if new:
+        places = [index for index, record in enumerate(records) if (record.user, record.number) == _EXTRA_BYTES]
+        if places:
+            old = records[places[0]]
+            records[places[0]] = old._replace(data=old.data + new)
+        else:
+            records.append(Record(*_EXTRA_BYTES, "Extra Bytes Record", new))
+    return records, late
+
+
+def _describe(dimension: Any) -> bytes:
+    """The 192 bytes that tell a reader the name and the type of an extra dimension."""
+    code = _TYPES[dimension.dtype.str[1:]]
+    return struct.pack("<2xBB32s124x32s", code, 0, dimension.name.encode(), b"")
+
+
+def _format(suffix: str, *, compress: bool) -> Format:
+    write_file: Callable[[Cloud, BinaryIO, str], list[str]] = partial(write, compress=compress)
+    return Format("las", (suffix,), read, write_file, ENCODINGS)
+
+
+FORMATS = (_format(".las", compress=False), _format(".laz", compress=True))
