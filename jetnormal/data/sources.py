@@ -19,7 +19,7 @@ from jetnormal.data.corruption import Surface, scan
 from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
 from jetnormal.data.scanners import random_scan
 from jetnormal.data.solids.recipes import random_solid
-from jetnormal.data.targets import MeshTarget
+from jetnormal.data.targets import MeshTarget, SolidTarget, Target
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import MESH_SUFFIXES
 from jetnormal.formats.pcpnet import cloud_names, read_cloud
@@ -28,6 +28,7 @@ TRAINING_LIST = "trainingset_whitenoise.txt"
 VALIDATION_LIST = "validationset_whitenoise.txt"
 CLOUDS_PER_EPOCH = 24
 POINTS_PER_CLOUD = 100_000
+SCANNED_SOLIDS_SHARE = 0.25  # of the clouds scanned where there are meshes, too
 
 
 @dataclass(frozen=True)
@@ -150,18 +151,18 @@ class SyntheticSolids:
 
 
 class ScannedSurfaces:
-    """Clouds scanned anew in each epoch by virtual scanners from the meshes of folders, each mesh equally often."""
+    """Clouds scanned anew in each epoch by virtual scanners: of meshes, each equally often, and of solids."""
 
     def __init__(
         self,
-        directories: Sequence[Path | str],
+        directories: Sequence[Path | str] = (),
         clouds_per_epoch: int = CLOUDS_PER_EPOCH,
         points: int = POINTS_PER_CLOUD,
     ) -> None:
         """Find the meshes; the 64 used last are kept in memory.
 
         Args:
-            directories: Folders of meshes.
+            directories: Folders of meshes. Without any all clouds are of solids.
             clouds_per_epoch: Clouds drawn in an epoch.
             points: Largest number of points of a cloud.
 
@@ -183,10 +184,16 @@ class ScannedSurfaces:
             InputError: The mesh cannot be used.
             ResourceError: Open3D, which casts the rays, cannot be loaded.
         """
-        path = _toured(self.paths, epoch * self.clouds_per_epoch + index, seed)
-        scan = random_scan(self._target(path), self._points, np.random.default_rng([seed, epoch, index]))
-        name = f"{path.stem}_{scan.kind}"
-        return LabeledCloud(name, scan.points, scan.normals, sensors=scan.sensors, labeled=scan.labeled)
+        rng = np.random.default_rng([seed, epoch, index])
+        if not self.paths or rng.random() < SCANNED_SOLIDS_SHARE:
+            name, target = "solid", _random_solid_target(rng)
+        else:
+            path = _toured(self.paths, epoch * self.clouds_per_epoch + index, seed)
+            name, target = path.stem, self._target(path)
+        scan = random_scan(target, self._points, rng)
+        return LabeledCloud(
+            f"{name}_{scan.kind}", scan.points, scan.normals, sensors=scan.sensors, labeled=scan.labeled
+        )
 
 
 class Mixture:
@@ -307,7 +314,11 @@ def _toured(paths: Sequence[Path], position: int, seed: int) -> Path:
     return paths[np.random.default_rng([seed, tour]).permutation(len(paths))[stop]]
 
 
-def _load_target(path: Path) -> MeshTarget:
+def _random_solid_target(rng: np.random.Generator) -> Target:
+    return SolidTarget(random_solid(rng))
+
+
+def _load_target(path: Path) -> Target:
     return MeshTarget(_load_sampler(path))
 
 

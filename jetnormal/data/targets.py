@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.data.mesh_sampler import MeshSampler
+from jetnormal.data.solids.csg import Solid
 from jetnormal.errors import ResourceError
 from jetnormal.support.open3d_loader import import_open3d
 
@@ -92,6 +93,95 @@ class MeshTarget:
         return (points - self.center) / self.size, normals
 
 
+class SolidTarget:
+    """A procedural solid as a target. Rays meet meshes of its parts first, and then the exact surface near there."""
+
+    _LONGEST = 64  # surfaces of parts that a ray passes, at most, before it meets that of the solid
+    _STEP = 1e-5  # of the differences that give the gradient of an implicit function
+
+    def __init__(self, solid: Solid) -> None:
+        """Build the search structure.
+
+        Raises:
+            ResourceError: Open3D, which casts the rays, cannot be loaded.
+        """
+        points, _ = solid.sample(4096, np.random.default_rng(0))
+        low, high = points.min(0), points.max(0)
+        self.center, self.size = (low + high) / 2, float(np.linalg.norm(high - low))
+        self._solid = solid
+        self._rays = RayCaster()
+        for part in solid.parts:
+            mesh = part.mesh()
+            self._rays.add((mesh.vertices - self.center) / self.size, mesh.faces)
+
+    def cast(self, origins: Floats, directions: Floats) -> Hits:
+        """See `Target.cast`."""
+        distance, normals = np.full(len(origins), np.inf), np.zeros((len(origins), 3))
+        rays, start = np.arange(len(origins)), np.zeros(len(origins))
+        for _ in range(self._LONGEST):
+            found = self._rays.first(origins[rays] + start[rays, None] * directions[rays], directions[rays])
+            met = found.mesh >= 0
+            rays, part = rays[met], found.mesh[met]
+            if len(rays) == 0:
+                break
+            start[rays] += found.distance[met]
+            exact, outward, exposed = self._on_solid(origins[rays] + start[rays, None] * directions[rays],
+                                                     directions[rays], part)  # fmt: skip
+            here = rays[exposed]
+            distance[here] = start[here] + exact[exposed]
+            away = (outward[exposed] * directions[here]).sum(1) > 0
+            normals[here] = np.where(away[:, None], -outward[exposed], outward[exposed])
+            rays = rays[~exposed]
+            start[rays] += RayCaster.CLEARANCE / 4
+        return Hits(distance, normals)
+
+    def visible(self, points: Floats, eyes: Floats) -> NDArray[np.bool_]:
+        """See `Target.visible`."""
+        length = np.linalg.norm(eyes - points, axis=1)
+        directions = (eyes - points) / length[:, None]
+        hits = self.cast(points + RayCaster.CLEARANCE * directions, directions)
+        return hits.distance > length - 2 * RayCaster.CLEARANCE
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """See `Target.sample`."""
+        points, normals = self._solid.sample(count, rng)
+        return (points - self.center) / self.size, normals
+
+    def _on_solid(
+        self, places: Floats, directions: Floats, parts: NDArray[np.int64]
+    ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """From places (N, 3) near the surfaces of parts (N,) go along the rays to these surfaces.
+
+        Returns:
+            The way (N,) to go, the unit normals (N, 3) of the surfaces there, and whether they are the solid's surface.
+        """
+        way, normals = np.zeros(len(places)), np.zeros((len(places), 3))
+        exposed = np.zeros(len(places), dtype=bool)
+        for number in np.unique(parts):
+            own = np.flatnonzero(parts == number)
+            for _ in range(3):  # Newton's method along the ray, held back where the surface is seen at a grazing angle
+                value, gradient = self._implicit(number, places[own] + way[own, None] * directions[own])
+                rise = (gradient * directions[own]).sum(1)
+                least = 0.1 * np.linalg.norm(gradient, axis=1)
+                way[own] -= value / np.where(rise < 0, np.minimum(rise, -least), np.maximum(rise, least))
+            points = places[own] + way[own, None] * directions[own]
+            _, gradient = self._implicit(number, points)
+            normals[own] = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+            behind, ahead = self._solid.sides(self.center + self.size * points, number)
+            exposed[own] = behind != ahead
+        return way, normals, exposed
+
+    def _implicit(self, part: int, points: Floats) -> tuple[Floats, Floats]:
+        """Value (N,) and gradient (N, 3) of the implicit function of a part, in the frame of the target."""
+
+        def value(places: Floats) -> Floats:
+            return self._solid.parts[part].implicit(self.center + self.size * places) / self.size
+
+        steps = self._STEP * np.eye(3)
+        gradient = np.stack([value(points + step) - value(points - step) for step in steps], axis=1)
+        return value(points), gradient / (2 * self._STEP)
+
+
 class Found(NamedTuple):
     """What rays (N,) meet first: the number of the mesh, of its face (-1 for nothing), and the place on the face."""
 
@@ -105,7 +195,7 @@ class Found(NamedTuple):
 class RayCaster:
     """Casts rays at meshes of a size of about one; float32 inside."""
 
-    _CLEARANCE = 1e-4  # of the size: a segment starts and ends this far from the surfaces at its ends
+    CLEARANCE = 1e-4  # of the size: a segment starts and ends this far from the surfaces at its ends
 
     def __init__(self) -> None:
         """Start without a mesh.
@@ -133,7 +223,7 @@ class RayCaster:
         """Whether the segments between points (N, 3) and eyes (N, 3) meet nothing, (N,)."""
         offset = eyes - points
         length = np.linalg.norm(offset, axis=1, keepdims=True)
-        share = self._CLEARANCE / np.maximum(length, 2 * self._CLEARANCE)
+        share = self.CLEARANCE / np.maximum(length, 2 * self.CLEARANCE)
         start, reach = points + share * offset, (1 - 2 * share) * offset
         occluded = [
             self._scene.test_occlusions(rays, 0.0, 1.0, nthreads=1).numpy() for rays in self._chunks(start, reach)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jetnormal.data.scanners import FAMILIES
 from jetnormal.data.sources import (
     LabeledCloud,
     MeshFolder,
@@ -230,10 +231,11 @@ def test_scanned_surfaces_are_a_pure_function(tmp_path):
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     np.savez(tmp_path / "wedge.npz", vertices=vertices, faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
     source = ScannedSurfaces([tmp_path], clouds_per_epoch=3, points=2000)
+    assert {source.cloud(0, index, 1).name.split("_")[0] for index in range(20)} == {"wedge", "solid"}
     cloud = source.cloud(2, 1, seed=5)
     again = ScannedSurfaces([tmp_path], clouds_per_epoch=3, points=2000).cloud(2, 1, seed=5)
     np.testing.assert_array_equal(cloud.points, again.points)
-    assert cloud.name == again.name and cloud.name.startswith("wedge_")
+    assert cloud.name == again.name and cloud.name.split("_")[1] in FAMILIES
     assert cloud.sensors.shape == cloud.points.shape and cloud.labeled.shape == (len(cloud.points),)
     other = source.cloud(2, 2, seed=5)
     assert other.points.shape != cloud.points.shape or not np.array_equal(other.points, cloud.points)

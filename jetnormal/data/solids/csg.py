@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.data.solids.primitives import Floats, Primitive
+from jetnormal.mesh import Mesh
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,16 @@ class Part:
 
     def contains(self, points: Floats) -> NDArray[np.bool_]:
         """Which of the points (N, 3) lie inside, (N,)."""
-        return self.primitive.implicit((points - self.translation) @ self.rotation / self.scale) < 0
+        return self.implicit(points) < 0
+
+    def implicit(self, points: Floats) -> Floats:
+        """See `Primitive.implicit`."""
+        return self.scale * self.primitive.implicit((points - self.translation) @ self.rotation / self.scale)
+
+    def mesh(self) -> Mesh:
+        """See `Primitive.mesh`."""
+        mesh = self.primitive.mesh()
+        return Mesh(self.scale * mesh.vertices @ self.rotation.T + self.translation, mesh.faces)
 
 
 class Solid:
@@ -75,6 +85,20 @@ class Solid:
             normals = np.concatenate([normals, more[1]])
         return points[:count], normals[:count]
 
+    def sides(self, points: Floats, own: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether the solid is on the inner side, and on the outer side, of the surface of part `own` at points (N, 3).
+
+        A point of a part's surface is on the solid's if that differs. Where the solid is on the outer side alone, the
+        part was cut from it.
+        """
+        inside = np.zeros((len(self.parts), len(points)), dtype=bool)
+        for other, part in enumerate(self.parts):
+            if other != own:
+                inside[other] = part.contains(points)
+        ahead = self._combined(inside)
+        inside[own] = True
+        return self._combined(inside), ahead
+
     def _combined(self, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Membership in the solid, (N,), from membership in each part, (parts, N)."""
         result = inside[0]
@@ -87,15 +111,7 @@ class Solid:
         kept = []
         for own, share in enumerate(rng.multinomial(count, self._shares)):
             points, normals = self.parts[own].sample(share, rng)
-            inside = np.zeros((len(self.parts), len(points)), dtype=bool)
-            for other, part in enumerate(self.parts):
-                if other != own:
-                    inside[other] = part.contains(points)
-            # A point of a part's surface is on the solid's if it matters there which side of the part one is
-            # on; where the inside of the part is outside of the solid, the part was cut and its normal turns.
-            ahead = self._combined(inside)
-            inside[own] = True
-            behind = self._combined(inside)
+            behind, ahead = self.sides(points, own)
             exposed = behind != ahead
             sign = np.where(behind[exposed], 1.0, -1.0)
             kept.append((points[exposed], normals[exposed] * sign[:, None]))

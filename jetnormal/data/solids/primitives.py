@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
+from jetnormal.data.solids.grids import grid_faces, half_circle, revolved
+from jetnormal.mesh import Mesh
+
 Floats = NDArray[np.float64]
 
 
@@ -31,6 +34,10 @@ class Primitive(Protocol):
 
     def implicit(self, points: Floats, /) -> Floats:
         """A function of points (N, 3) that is negative inside, positive outside and zero on the surface."""
+        ...
+
+    def mesh(self) -> Mesh:
+        """Triangles whose vertices lie on the surface and whose faces are within about 0.001 of it."""
         ...
 
 
@@ -65,6 +72,25 @@ class RoundedBox:
     def implicit(self, points: Floats) -> Floats:
         """See `Primitive.implicit`; this is the signed distance."""
         return _distance_to_corner(np.abs(points) - self._half) - self._radius
+
+    def mesh(self) -> Mesh:
+        """See `Primitive.mesh`."""
+        # A sphere's grid of angles, cut along the octants, whose parts move apart to the corners of the inner box. The
+        # gaps become the quarter cylinders and four of the faces; the lowest and the highest row close the others.
+        steps = np.linspace(0, np.pi / 2, 24 if self._radius else 1)
+        azimuth = np.concatenate([steps + quarter * np.pi / 2 for quarter in range(4)])
+        tilt = np.concatenate([[-np.pi / 2], steps - np.pi / 2, steps, [np.pi / 2]])
+        normals = np.stack(np.broadcast_arrays(
+            np.cos(tilt)[:, None] * np.cos(azimuth), np.cos(tilt)[:, None] * np.sin(azimuth), np.sin(tilt)[:, None]), -1
+        )  # fmt: skip
+        quarter = np.repeat(np.arange(4), len(steps))
+        half_turn = np.repeat([-1.0, 1.0], len(steps) + 1)
+        corner = np.stack(np.broadcast_arrays(
+            np.where((quarter == 0) | (quarter == 3), 1.0, -1.0), np.where(quarter < 2, 1.0, -1.0), half_turn[:, None]
+        ), -1)  # fmt: skip
+        corner[[0, -1], :, :2] = 0  # the middles of the lowest and the highest face
+        vertices = self._half * corner + self._radius * normals
+        return Mesh(vertices.reshape(-1, 3), grid_faces(len(tilt), len(azimuth)))
 
 
 class RoundedCylinder:
@@ -104,6 +130,12 @@ class RoundedCylinder:
         corner = np.stack([rho - self._core, height - self._half_height], axis=1)
         return _distance_to_corner(corner) - self._radius
 
+    def mesh(self) -> Mesh:
+        """See `Primitive.mesh`."""
+        cos, sin = half_circle(-np.pi / 2, np.pi / 2, 64)
+        rho, z = self._core + self._radius * cos, self._half_height * np.sign(sin) + self._radius * sin
+        return revolved(np.concatenate([[0], rho, [0]]), np.concatenate([z[:1], z, z[-1:]]))
+
 
 class Torus:
     """A ring around z."""
@@ -128,6 +160,11 @@ class Torus:
         """See `Primitive.implicit`; this is the signed distance."""
         rho = np.hypot(points[:, 0], points[:, 1])
         return np.hypot(rho - self._major, points[:, 2]) - self._minor
+
+    def mesh(self) -> Mesh:
+        """See `Primitive.mesh`."""
+        cos, sin = half_circle(0, 2 * np.pi, 97)
+        return revolved(self._major + self._minor * cos[:-1], self._minor * sin[:-1], ring=True)
 
 
 class Lathe:
@@ -189,6 +226,11 @@ class Lathe:
         z = points[:, 2]
         return np.maximum(np.hypot(points[:, 0], points[:, 1]) - self._rho(z), np.abs(z) - self._half_height)
 
+    def mesh(self) -> Mesh:
+        """See `Primitive.mesh`."""
+        z = np.linspace(-self._half_height, self._half_height, 161 if self._amplitude else 2)
+        return revolved(np.concatenate([[0], self._rho(z), [0]]), np.concatenate([z[:1], z, z[-1:]]))
+
 
 class ConvexPolyhedron:
     """The convex hull of points: a prism, wedge, pyramid or an irregular block."""
@@ -214,6 +256,13 @@ class ConvexPolyhedron:
     def implicit(self, points: Floats) -> Floats:
         """See `Primitive.implicit`."""
         return (points @ self._distinct_planes[:, :3].T + self._distinct_planes[:, 3]).max(axis=1)
+
+    def mesh(self) -> Mesh:
+        """See `Primitive.mesh`."""
+        facing = np.cross(self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0])
+        outward = (facing * self._planes[:, :3]).sum(1) > 0
+        faces = np.arange(self._corners.shape[0] * 3).reshape(-1, 3)
+        return Mesh(self._corners.reshape(-1, 3), np.where(outward[:, None], faces, faces[:, ::-1]))
 
 
 def rejected(

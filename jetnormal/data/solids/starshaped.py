@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jetnormal.data.solids.grids import SIDES, half_circle, revolved
 from jetnormal.data.solids.primitives import Floats, normalized, rejected
+from jetnormal.mesh import Mesh
 
 
 class StarShaped:
@@ -47,6 +49,11 @@ class StarShaped:
         """See `Primitive.implicit`."""
         distance = np.linalg.norm(points, axis=1)
         return distance - self._radius(points / np.maximum(distance, 1e-12)[:, None])
+
+    def mesh(self) -> Mesh:
+        """See `Primitive.mesh`."""
+        sphere = revolved(*half_circle(-np.pi / 2, np.pi / 2, SIDES // 2 + 1))
+        return Mesh(self._radius(sphere.vertices)[:, None] * sphere.vertices, sphere.faces)
 
 
 class Superellipsoid(StarShaped):
