@@ -119,7 +119,8 @@ class MeshFolder:
         Raises:
             InputError: There is no mesh in the folder.
         """
-        self.paths = meshes_in(Path(directory))
+        self.directory = Path(directory)
+        self.paths = meshes_in(self.directory)
         if not self.paths:
             raise InputError(f"{directory}: holds no meshes ({' '.join(MESH_SUFFIXES)})")
         self.clouds_per_epoch = clouds_per_epoch
@@ -243,6 +244,7 @@ def open_dataset(
     paths: Sequence[Path | str],
     *,
     synthetic: bool = False,
+    scans: bool = False,
     list_file: str | None = None,
     default_list: str = TRAINING_LIST,
     weights: Sequence[float] | None = None,
@@ -258,18 +260,19 @@ def open_dataset(
     Args:
         paths: Folders.
         synthetic: Adds random procedural solids.
+        scans: Adds scans by virtual scanners, of the meshes in the folders and of procedural solids.
         list_file: Name of the list in the PCPNet folders.
         default_list: Name of the list where `list_file` is None.
-        weights: Share of each source in the mixture, in the order of `paths`, the solids last; by default as
-            many clouds as it has per epoch.
-        clouds_per_epoch: Clouds that a folder of meshes, and the solids, give per epoch.
+        weights: Share of each source in the mixture, in the order of `paths`, then the solids, then the scans; by
+            default as many clouds as it has per epoch.
+        clouds_per_epoch: Clouds that a folder of meshes, the solids, and the scans give per epoch.
         points: Largest number of points of a cloud drawn from a mesh or a solid.
 
     Raises:
         InputError: A folder is missing or holds neither, or its list does not fit it.
-        UsageError: There is neither a folder nor `synthetic`, or the weights do not fit them.
+        UsageError: There is no source at all, or the weights do not fit them.
     """
-    if not paths and not synthetic:
+    if not paths and not synthetic and not scans:
         raise UsageError("there is no training data: give a folder or ask for synthetic solids")
     sources: list[DataSource] = []
     for path in paths:
@@ -278,6 +281,9 @@ def open_dataset(
         sources.append(_open_folder(path, chosen, clouds_per_epoch, points))
     if synthetic:
         sources.append(SyntheticSolids(clouds_per_epoch, points))
+    if scans:
+        folders = [source.directory for source in sources if isinstance(source, MeshFolder)]
+        sources.append(ScannedSurfaces(folders, clouds_per_epoch, points))
     return sources[0] if len(sources) == 1 and weights is None else Mixture(sources, weights)
 
 

@@ -244,3 +244,11 @@ def test_scanned_surfaces_are_a_pure_function(tmp_path):
 def test_scanned_surfaces_need_meshes(tmp_path):
     with pytest.raises(InputError, match="holds no meshes"):
         ScannedSurfaces([tmp_path])
+
+
+def test_scans_of_the_mesh_folders_are_one_more_source(tmp_path):
+    np.savez(tmp_path / "wedge.npz", vertices=TETRAHEDRON, faces=FACES)
+    source = open_dataset([tmp_path], synthetic=True, scans=True, weights=[1, 1, 2], clouds_per_epoch=4, points=1000)
+    clouds = [source.cloud(0, index, 1) for index in range(source.clouds_per_epoch)]
+    assert [cloud.sensors is not None for cloud in clouds].count(True) == 6
+    assert any(cloud.name.startswith("wedge_") for cloud in clouds if cloud.sensors is not None)
