@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from jetnormal.data.corruption import Surface, scan
 from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
-from jetnormal.data.scanners import random_scan
+from jetnormal.data.scanners.draw import random_scan
+from jetnormal.data.scanners.targets import MeshTarget, SolidTarget, Target
 from jetnormal.data.solids.recipes import random_solid
-from jetnormal.data.targets import MeshTarget, SolidTarget, Target
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import MESH_SUFFIXES
 from jetnormal.formats.pcpnet import cloud_names, read_cloud

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jetnormal.data.scanners import FAMILIES
+from jetnormal.data.scanners.draw import FAMILIES
 from jetnormal.data.sources import (
     LabeledCloud,
     MeshFolder,

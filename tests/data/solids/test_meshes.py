@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from jetnormal.data.scanners.targets import SolidTarget
 from jetnormal.data.solids.csg import Part, Solid
 from jetnormal.data.solids.primitives import ConvexPolyhedron, Lathe, RoundedBox, RoundedCylinder, Torus
 from jetnormal.data.solids.recipes import random_solid
 from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
-from jetnormal.data.targets import SolidTarget
 
 PRIMITIVES = [
     RoundedBox([0.5, 0.4, 0.3]),

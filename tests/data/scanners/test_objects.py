@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from jetnormal.data import scanners
 from jetnormal.data.mesh_sampler import MeshSampler
-from jetnormal.data.range_errors import RangeErrors, smooth_noise
-from jetnormal.data.scanners import FAMILIES, random_scan
-from jetnormal.data.targets import MeshTarget
+from jetnormal.data.scanners import rasters
+from jetnormal.data.scanners.draw import FAMILIES, random_scan
+from jetnormal.data.scanners.range_errors import RangeErrors, smooth_noise
+from jetnormal.data.scanners.targets import MeshTarget
 from jetnormal.mesh import Mesh
 
 
@@ -68,10 +68,10 @@ def test_a_scan_follows_from_the_generator_alone(cube):
 def test_an_exact_scanner_reads_the_surface(cube):
     eye, axes = np.array([0.0, 0.0, 3.0]), np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
     rng = np.random.default_rng(0)
-    raster = scanners.Pinhole(eye, axes)
-    window = scanners._window(cube, raster, 1.0, rng)
-    sampling = scanners._Sampling(3000, 6.0)
-    scan = scanners._scan("stripe", cube, raster, window, sampling, RangeErrors(3.0, grazing=0.0), rng)
+    raster = rasters.Pinhole(eye, axes)
+    window = rasters.window_of(cube, raster, 1.0, rng)
+    sampling = rasters.Sampling(3000, 6.0)
+    scan = rasters.read_raster("stripe", cube, raster, window, sampling, RangeErrors(3.0, grazing=0.0), rng)
     half = 0.5 / np.sqrt(3)
     np.testing.assert_allclose(scan.points[:, 2], half, atol=1e-12)
     assert 2700 < len(scan) < 3300

@@ -1,0 +1,1 @@
+"""Virtual scanners: clouds as sensors see a surface."""

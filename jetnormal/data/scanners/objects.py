@@ -1,0 +1,258 @@
+"""Scanners of objects, which stand around them and look from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.data.scanners.range_errors import RandomField, RangeErrors
+from jetnormal.data.scanners.rasters import Pinhole, Sampling, Spherical, Sweep, read_raster, window_of
+from jetnormal.data.scanners.scan import Scan, axes_along, log_uniform, merged, registration_errors, unit
+from jetnormal.data.scanners.targets import Floats, Target
+
+
+def _stripe(target: Target, count: int, rng: np.random.Generator, errors: RangeErrors | None = None) -> Scan:
+    """A laser line that sweeps over the target, seen by a camera beside the laser or in front of it."""
+    distance = log_uniform(rng, 0.7, 3.0)
+    eye, axes = pose(rng, distance)
+    raster = Sweep(eye, axes) if rng.random() < 0.6 else Pinhole(eye, axes)
+    sampling = Sampling(count, log_uniform(rng, 0.4, 10.0), rng.uniform(0, 0.1), rng.uniform(0, 0.3) ** 2)
+    scan = read_raster("stripe", target, raster, window_of(target, raster, _closeness(rng), rng), sampling,
+                 errors or _stripe_errors(rng, distance), rng)  # fmt: skip
+    # What the camera does not see, the laser lights in vain.
+    baseline = distance * rng.uniform(0.1, 0.6) * rng.choice([-1, 1])
+    across = axes[rng.integers(2)]  # beside the stripe or along the sweep
+    return scan.take(_seen(target, scan, scan.sensors + baseline * across))
+
+
+def _stripe_errors(rng: np.random.Generator, distance: float) -> RangeErrors:
+    """Speckle: errors smooth along the line; steps of the camera's pixels."""
+    sigma = log_uniform(rng, 5e-5, 5e-3)
+    return RangeErrors(
+        distance,
+        white=sigma * rng.uniform(0, 1),
+        waves=sigma * log_uniform(rng, 0.3, 2.0),
+        wave_rows=rng.choice([0.0, rng.uniform(0.3, 2.0)]),
+        wave_columns=log_uniform(rng, 0.5, 20.0),
+        line=sigma * rng.choice([0.0, log_uniform(rng, 0.05, 0.7)]),
+        range_power=2.0,
+        grazing_power=rng.uniform(0, 1),
+        step=rng.choice([0.0, sigma * log_uniform(rng, 0.3, 4.0)], p=[0.4, 0.6]),
+        disparity=bool(rng.random() < 0.5),
+        mixed=rng.choice([0.0, rng.uniform(0, 0.5)]),
+        grazing=rng.uniform(0.02, 0.4),
+        lost=rng.uniform(0, 0.2) ** 2,
+    )
+
+
+def _depth(target: Target, count: int, rng: np.random.Generator, errors: RangeErrors | None = None) -> Scan:
+    """One frame of a depth camera."""
+    distance = log_uniform(rng, 0.6, 4.0)
+    raster = Pinhole(*pose(rng, distance))
+    sampling = Sampling(count, rng.uniform(0.8, 1.25))
+    window = window_of(target, raster, _closeness(rng), rng)
+    chosen = errors or (_light_errors if rng.random() < 0.6 else _flight_errors)(rng, distance)
+    return read_raster("depth", target, raster, window, sampling, chosen, rng)
+
+
+def _light_errors(rng: np.random.Generator, distance: float) -> RangeErrors:
+    """Structured light or stereo: errors that grow with the square of depth, smooth over the matching window."""
+    sigma = log_uniform(rng, 2e-4, 1e-2)
+    width = log_uniform(rng, 0.6, 8.0)
+    return RangeErrors(
+        distance,
+        white=sigma * rng.uniform(0, 0.7),
+        waves=sigma * rng.uniform(0.2, 1.2),
+        wave_rows=width,
+        wave_columns=width,
+        range_power=2.0,
+        grazing_power=rng.uniform(0, 1),
+        step=rng.choice([0.0, sigma * log_uniform(rng, 0.5, 5.0)], p=[0.3, 0.7]),
+        disparity=True,
+        mixed=rng.uniform(0, 0.7),
+        grazing=rng.uniform(0.05, 0.35),
+        lost=rng.uniform(0, 0.3) ** 2,
+    )
+
+
+def _flight_errors(rng: np.random.Generator, distance: float) -> RangeErrors:
+    """Time of flight: independent errors by the strength of the return, wide waves of multiple paths."""
+    sigma = log_uniform(rng, 2e-4, 1e-2)
+    width = log_uniform(rng, 4.0, 60.0)
+    return RangeErrors(
+        distance,
+        white=sigma,
+        waves=sigma * log_uniform(rng, 0.05, 1.0),
+        wave_rows=width,
+        wave_columns=width,
+        range_power=rng.uniform(1, 2),
+        grazing_power=rng.uniform(0.3, 1.0),
+        step=sigma * rng.choice([0.0, log_uniform(rng, 0.05, 1.0)]),
+        mixed=rng.uniform(0.2, 0.9),
+        grazing=rng.uniform(0.02, 0.25),
+        lost=rng.uniform(0, 0.2) ** 2,
+    )
+
+
+def _lidar(target: Target, count: int, rng: np.random.Generator) -> Scan:
+    """A multi-beam lidar that passes by, or goes around: lines far apart, the same beams at each place."""
+    places = int(rng.integers(1, 9))
+    far = log_uniform(rng, 0.7, 5.0)
+    up = unit(rng.normal(size=3))
+    start, turn = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1]) * rng.uniform(0.05, 2 * np.pi / max(places, 2))
+    height, tilt = rng.uniform(-0.3, 0.8), rng.choice([0.0, rng.uniform(0, 0.6)])
+    sampling = Sampling(
+        max(1, count // places), log_uniform(rng, 1.5, 25.0), rng.uniform(0, 0.15), rng.uniform(0, 0.5) ** 2
+    )
+    errors, registration = _lidar_errors(rng, far), registration_errors(rng)
+    views = []
+    for place in range(places):
+        distance = far * rng.uniform(0.8, 1.25)
+        raster = Spherical(*_upright(up, start + place * turn, distance, height, tilt, rng))
+        window = window_of(target, raster, 1.0, rng)
+        views.append(registration(read_raster("lidar", target, raster, window, sampling, errors, rng), rng))
+    return merged(views)
+
+
+def _lidar_errors(rng: np.random.Generator, distance: float) -> RangeErrors:
+    """Independent errors, a bias of each beam, and centimeters as steps."""
+    sigma = log_uniform(rng, 5e-5, 6e-3)
+    return RangeErrors(
+        distance,
+        white=sigma,
+        waves=sigma * rng.choice([0.0, rng.uniform(0, 1)]),
+        wave_columns=log_uniform(rng, 1.0, 30.0),
+        line=sigma * rng.choice([0.0, rng.uniform(0, 1)]),
+        range_power=rng.uniform(0, 1),
+        grazing_power=rng.uniform(0, 1),
+        step=sigma * rng.choice([0.0, log_uniform(rng, 0.1, 3.0)]),
+        mixed=rng.uniform(0, 0.5),
+        grazing=rng.uniform(0.01, 0.15),
+        lost=rng.uniform(0, 0.3) ** 2,
+    )
+
+
+def _station(target: Target, count: int, rng: np.random.Generator) -> Scan:
+    """Terrestrial scanners around the target, near and far."""
+    places = int(rng.integers(1, 6))
+    up = unit(rng.normal(size=3))
+    angles = rng.uniform(0, 2 * np.pi) + np.arange(places) * 2 * np.pi / places + rng.normal(scale=0.4, size=places)
+    sigma, registration = log_uniform(rng, 2e-5, 3e-3), registration_errors(rng)
+    sampling = Sampling(max(1, count // places), log_uniform(rng, 0.5, 2.0), rng.uniform(0, 0.2))
+    views = []
+    for angle in angles:
+        distance = log_uniform(rng, 0.56, 4.0)
+        errors = RangeErrors(
+            1.0,
+            white=sigma,
+            range_power=rng.uniform(0, 1),
+            grazing_power=rng.uniform(0, 1),
+            mixed=rng.uniform(0, 0.8),
+            grazing=rng.uniform(0.01, 0.2),
+            lost=rng.uniform(0, 0.2) ** 2,
+        )
+        raster = Spherical(*_upright(up, angle, distance, rng.uniform(-0.3, 0.5), 0.0, rng))
+        view = read_raster("station", target, raster, window_of(target, raster, 1.0, rng), sampling, errors, rng)
+        views.append(registration(view, rng))
+    return merged(views)
+
+
+def _fused(target: Target, count: int, rng: np.random.Generator) -> Scan:
+    """Views of one device from all sides, put together with errors of the registration."""
+    places = round(log_uniform(rng, 3, 25))
+    single = _stripe if rng.random() < 0.6 else _depth
+    errors = {_stripe: _stripe_errors, _depth: _light_errors if rng.random() < 0.6 else _flight_errors}[single](
+        rng, 1.5
+    )
+    registration = registration_errors(rng)
+    views = [registration(single(target, max(1, count // places), rng, errors), rng) for _ in range(places)]
+    return replace(merged(views), kind="fused")
+
+
+def _photogrammetry(target: Target, count: int, rng: np.random.Generator) -> Scan:
+    """Points that cameras see in pairs: dense on texture, with the bumps that smoothing leaves."""
+    eyes = log_uniform(rng, 0.8, 3.0) * _directions(int(rng.integers(4, 40)), rng)
+    steepest, contrast, bare = rng.uniform(0.05, 0.4), rng.uniform(0, 2), rng.uniform(-3, -1)
+    texture = RandomField(log_uniform(rng, 0.05, 0.6), rng)
+    parts: list[Scan] = []
+    found = 0
+    while found < count and len(parts) < 6:
+        part = _matched(target, eyes, 2 * count, steepest, rng)
+        strength = texture(part.points)
+        dense = rng.random(len(part)) < np.exp(contrast * (strength - 1))
+        parts.append(part.take(dense & (strength > bare)))
+        found += len(parts[-1])
+    clean = merged(parts)
+    clean = clean if found <= count else clean.take(np.arange(count))
+    return replace(clean, points=_bumpy(clean, rng))
+
+
+def _matched(target: Target, eyes: Floats, count: int, steepest: float, rng: np.random.Generator) -> Scan:
+    """Those of `count` points that two random eyes see from the same side, less steeply than by a cosine."""
+    points, normals = target.sample(count, rng)
+    pair = [eyes[rng.integers(len(eyes), size=count)] for _ in range(2)]
+    first, second = ((unit(eye - points) * normals).sum(1) for eye in pair)
+    facing = np.flatnonzero((np.minimum(np.abs(first), np.abs(second)) > steepest) & (first * second > 0))
+    for eye in pair:
+        facing = facing[target.visible(points[facing], eye[facing])]
+    toward = normals[facing] * np.sign(first[facing])[:, None]
+    return Scan("photogrammetry", points[facing], toward, pair[0][facing], np.ones(len(facing), dtype=bool))
+
+
+def _bumpy(clean: Scan, rng: np.random.Generator) -> Floats:
+    """The points with errors that are smooth over the surface, and independent ones, larger along the line of sight."""
+    bumps = np.zeros(len(clean))
+    for _ in range(rng.integers(1, 4)):
+        wavelength = log_uniform(rng, 0.01, 0.3)
+        bumps += RandomField(wavelength, rng)(clean.points) * wavelength * log_uniform(rng, 1e-3, 2e-2)
+    white = log_uniform(rng, 1e-4, 6e-3)
+    across = white * rng.uniform(0.2, 1.0) * rng.standard_normal((len(clean), 3))
+    along = white * rng.standard_normal((len(clean), 1)) * unit(clean.sensors - clean.points)
+    return clean.points + bumps[:, None] * clean.normals + across + along
+
+
+OBJECT_SCANNERS: dict[str, Callable[[Target, int, np.random.Generator], Scan]] = {
+    "stripe": _stripe,
+    "depth": _depth,
+    "lidar": _lidar,
+    "station": _station,
+    "fused": _fused,
+    "photogrammetry": _photogrammetry,
+}
+
+
+def _closeness(rng: np.random.Generator) -> float:
+    """How much of the target a view shows: all of it, or a window of up to a fifth of its width."""
+    return 1.0 if rng.random() < 0.6 else log_uniform(rng, 1.0, 5.0)
+
+
+def pose(rng: np.random.Generator, distance: float) -> tuple[Floats, Floats]:
+    """An eye at a distance from the origin in any direction, and axes (right, up, forward) of any roll."""
+    eye = distance * unit(rng.normal(size=3))
+    return eye, axes_along(-eye + rng.normal(scale=0.03, size=3), rng.normal(size=3))
+
+
+def _upright(
+    up: Floats, angle: float, distance: float, height: float, tilt: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """An eye at an angle around the axis "up" and a height over the middle; its axes stand upright but for a tilt."""
+    right, ahead, _ = axes_along(up, np.array([0.3, 0.5, 0.8]))
+    eye = distance * unit(np.cos(angle) * right + np.sin(angle) * ahead + height * up)
+    level = -eye + (eye @ up) * up
+    return eye, axes_along(level, up + tilt * unit(rng.normal(size=3)))
+
+
+def _seen(target: Target, scan: Scan, eyes: Floats) -> NDArray[np.bool_]:
+    """Which points of a scan nothing hides from eyes (N, 3); the measured ones stand for the true ones."""
+    # Lifted off the surface by more than the noise would sink them: only what is clearly hidden counts.
+    lift = 0.004 * scan.normals
+    return target.visible(scan.points + lift, eyes)
+
+
+def _directions(count: int, rng: np.random.Generator) -> Floats:
+    """Random unit vectors, (count, 3), over the sphere or in a cap of it."""
+    directions = unit(rng.normal(size=(count, 3)))
+    return directions if rng.random() < 0.6 else unit(directions + rng.uniform(1.0, 2.0) * unit(rng.normal(size=3)))
