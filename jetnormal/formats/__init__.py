@@ -114,7 +114,7 @@ def write(
     else:
         with atomic.atomic_write(path, overwrite=overwrite) as stream:
             warnings = write_cloud(cloud, stream, chosen)
-    return [f"{path}: {warning}" for warning in _losses(cloud, known.name) + warnings]
+    return [f"{path}: {warning}" for warning in _losses(cloud, known) + warnings]
 
 
 def check_target(
@@ -154,14 +154,14 @@ def _choose_encoding(source: Source, known: Format, wanted: str | None, path: Pa
     raise UsageError(f"{path}: no encoding {wanted!r} for this suffix; choose from {', '.join(known.encodings)}")
 
 
-def _losses(cloud: Cloud, target: str) -> list[str]:
+def _losses(cloud: Cloud, target: Format) -> list[str]:
     """What belongs to the whole cloud and has no place in another format."""
     source = cloud.source
-    if source.format == target:
+    if source.format == target.name:
         return []
     losses = list(source.extra.losses()) if hasattr(source.extra, "losses") else []
     if source.height is not None and source.height > 1:
         losses.append(f"the organisation in {source.height} rows of {source.width} points is not kept")
-    if source.viewpoint not in (None, _IDENTITY):
+    if source.viewpoint not in (None, _IDENTITY) and not target.keeps_viewpoint:
         losses.append("the viewpoint is not kept")
     return losses

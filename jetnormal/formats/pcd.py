@@ -273,4 +273,4 @@ def _body(columns: Columns, encoding: str) -> Iterator[bytes | memoryview]:
         yield struct.pack("<II", len(packed), len(fields)) + packed
 
 
-FORMATS = (Format("pcd", (".pcd",), read, write, ENCODINGS),)
+FORMATS = (Format("pcd", (".pcd",), read, write, ENCODINGS, keeps_viewpoint=True),)

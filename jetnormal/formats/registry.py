@@ -38,6 +38,7 @@ class Format:
         read: makes a cloud of a file. Where `has_columns`, it takes the keyword arguments columns and decimal, too.
         write: cloud, stream, encoding -> what could not be kept. None if the format cannot hold normals.
         encodings: the first is the default.
+        keeps_viewpoint: whether it has a place for `Source.viewpoint`.
         has_columns: whether the user may say what the columns mean.
     """
 
@@ -46,6 +47,7 @@ class Format:
     read: Callable[..., Cloud]
     write: Callable[[Cloud, BinaryIO, str], list[str]] | None
     encodings: tuple[str, ...]
+    keeps_viewpoint: bool = False
     has_columns: bool = False
 
 
