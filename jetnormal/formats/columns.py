@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,22 @@ _NORMAL_SPELLINGS = (
 )
 
 
-def unique_name(name: str, taken: Collection[str]) -> str:
-    """`name`, or `name_2`, `name_3`... where it is taken."""
-    candidate, number = name, 1
-    while candidate in taken:
-        number += 1
-        candidate = f"{name}_{number}"
-    return candidate
+class UniqueNames:
+    """Names of which none comes twice, in time that does not grow with their number."""
+
+    def __init__(self, taken: Iterable[str] = ()) -> None:
+        self._taken = set(taken)
+        self._numbers: dict[str, int] = {}
+
+    def add(self, name: str) -> str:
+        """Take `name`, or `name_2`, `name_3`... where it is taken."""
+        candidate, number = name, self._numbers.get(name, 1)
+        while candidate in self._taken:
+            number += 1
+            candidate = f"{name}_{number}"
+        self._numbers[name] = number
+        self._taken.add(candidate)
+        return candidate
 
 
 def canonical_names(names: Collection[str], path: Path) -> dict[str, str]:
@@ -66,6 +75,7 @@ def cloud_from_columns(columns: Mapping[str, NDArray[Any]], source: Source, path
     special: Columns = {}
     attributes: Columns = {}
     order = []
+    unique = UniqueNames(names.values())
     for name, values in columns.items():
         if name in names:
             if values.ndim != 1 or values.dtype.kind not in "fiu":
@@ -73,7 +83,7 @@ def cloud_from_columns(columns: Mapping[str, NDArray[Any]], source: Source, path
             special[names[name]] = values
             order.append(names[name])
         else:
-            key = unique_name(name, {*names.values(), *attributes})
+            key = unique.add(name)
             attributes[key] = np.ascontiguousarray(values)
             order.append(key)
     points, point_dtype = _join([special[name] for name in COORDINATES])
@@ -116,9 +126,10 @@ def columns_from_cloud(
         spelled |= dict(zip(NORMALS, normal_names, strict=True))
         columns |= dict(zip(normal_names, normals, strict=True))
     renamed, warnings = {}, []
+    unique = UniqueNames(columns)
     for name, values in cloud.attributes.items():
         clean = "_".join(name.split()) or "column"  # a blank would split a line of the header
-        renamed[name] = unique_name(clean, columns)
+        renamed[name] = unique.add(clean)
         columns[renamed[name]] = values
         if renamed[name] != name:
             warnings.append(f"attribute {name!r} is written as {renamed[name]!r}")
@@ -134,7 +145,8 @@ def _order(cloud: Cloud, spelled: dict[str, str], renamed: dict[str, str]) -> li
     new_normals = [spelled[name] for name in NORMALS if name in spelled and spelled[name] not in order]
     after = 1 + max(order.index(name) for name in COORDINATES)
     order[after:after] = new_normals
-    return order + [name for name in renamed.values() if name not in order]
+    placed = set(order)
+    return order + [name for name in renamed.values() if name not in placed]
 
 
 def _split(values: NDArray[np.float64], dtype: np.dtype[Any]) -> list[NDArray[Any]]:

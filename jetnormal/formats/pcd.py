@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats import lzf
-from jetnormal.formats.columns import Columns, cloud_from_columns, columns_from_cloud, unique_name
+from jetnormal.formats.columns import Columns, UniqueNames, cloud_from_columns, columns_from_cloud
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import pack_colors, to_storable
 from jetnormal.formats.table import format_rows, read_table
@@ -112,11 +112,11 @@ def _interpret(entries: dict[str, list[str]], comments: tuple[str, ...], lines: 
     if not fields or not len(fields) == len(sizes) == len(kinds) == len(counts):
         raise ValueError("FIELDS, SIZE, TYPE and COUNT do not have the same number of entries")
     described: list[tuple[str, str, tuple[int, ...]]] = []
+    unique = UniqueNames()
     for name, size, kind, count in zip(fields, sizes, kinds, counts, strict=True):
         if kind.lower() + size not in _TYPES or count < 1:
             raise ValueError(f"field {name!r} has TYPE {kind}, SIZE {size} and COUNT {count}")
-        unique = unique_name(name, [field[0] for field in described])
-        described.append((unique, "<" + kind.lower() + size, () if count == 1 else (count,)))
+        described.append((unique.add(name), "<" + kind.lower() + size, () if count == 1 else (count,)))
     padding = frozenset(field[0] for field, name in zip(described, fields, strict=True) if name == "_")
     declared = {key: int(" ".join(entries[key])) for key in ("WIDTH", "HEIGHT", "POINTS") if key in entries}
     width, height = declared.get("WIDTH", declared.get("POINTS", -1)), declared.get("HEIGHT", 1)

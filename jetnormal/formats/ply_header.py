@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from jetnormal.errors import InputError
-from jetnormal.formats.columns import unique_name
+from jetnormal.formats.columns import UniqueNames
 
 ENCODINGS = ("binary_little_endian", "binary_big_endian", "ascii")
 
@@ -99,7 +99,8 @@ class Header:
 def read_header(stream: BinaryIO, path: Path) -> Header:
     if stream.readline(_LONGEST_HEADER_LINE).removeprefix(b"\xef\xbb\xbf").strip() != b"ply":
         raise InputError(f"{path}: does not begin with the line 'ply'; is this a PLY file?")
-    encoding, elements, comments, object_info = "", [], [], []  # type: ignore[var-annotated]
+    encoding, comments, object_info = "", [], []  # type: ignore[var-annotated]
+    found: list[_Declaration] = []
     for number in range(2, 1_000_000):
         raw = stream.readline(_LONGEST_HEADER_LINE)
         if not raw:
@@ -108,7 +109,8 @@ def read_header(stream: BinaryIO, path: Path) -> Header:
         keyword, _, rest = line.partition(" ")
         try:
             if keyword == "end_header" and encoding:
-                return Header(encoding, tuple(elements), tuple(comments), tuple(object_info), number)
+                elements = tuple(Element(each.name, each.count, tuple(each.properties)) for each in found)
+                return Header(encoding, elements, tuple(comments), tuple(object_info), number)
             if keyword == "comment":
                 comments.append(rest)
             elif keyword == "obj_info":
@@ -116,9 +118,10 @@ def read_header(stream: BinaryIO, path: Path) -> Header:
             elif keyword == "format" and rest.split()[0] in ENCODINGS:
                 encoding = rest.split()[0]
             elif keyword == "element":
-                elements.append(_parse_element(rest))
+                name, count = rest.split()
+                found.append(_Declaration(name, _to_count(count)))
             elif keyword == "property":
-                elements[-1] = _with_property(elements[-1], rest.split())
+                found[-1].add(rest.split())
             elif line:
                 raise ValueError
         except (ValueError, KeyError, IndexError):
@@ -126,21 +129,28 @@ def read_header(stream: BinaryIO, path: Path) -> Header:
     raise InputError(f"{path}: the PLY header has no format or no end_header; the file is truncated")
 
 
-def _parse_element(text: str) -> Element:
-    name, count = text.split()
-    if int(count) < 0:
-        raise ValueError
-    return Element(name, int(count))
+@dataclass
+class _Declaration:
+    """An element whose properties are being read."""
+
+    name: str
+    count: int
+    properties: list[Property] = field(default_factory=list)
+    names: UniqueNames = field(default_factory=UniqueNames)
+
+    def add(self, words: list[str]) -> None:
+        """Take the words of a property; a name that the element already has gets a number."""
+        *kind, name = words
+        if len(kind) == 3 and kind[0] == "list":
+            added = Property(self.names.add(name), _TYPES[kind[2]], _TYPES[kind[1]])
+        elif len(kind) == 1:
+            added = Property(self.names.add(name), _TYPES[kind[0]])
+        else:
+            raise ValueError
+        self.properties.append(added)
 
 
-def _with_property(element: Element, words: list[str]) -> Element:
-    """Adds a property; a name that the element already has gets a number."""
-    *kind, name = words
-    name = unique_name(name, [prop.name for prop in element.properties])
-    if len(kind) == 3 and kind[0] == "list":
-        added = Property(name, _TYPES[kind[2]], _TYPES[kind[1]])
-    elif len(kind) == 1:
-        added = Property(name, _TYPES[kind[0]])
-    else:
+def _to_count(text: str) -> int:
+    if not text.isdecimal() or len(text) > 18:
         raise ValueError
-    return replace(element, properties=(*element.properties, added))
+    return int(text)

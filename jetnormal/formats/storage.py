@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.formats.columns import Columns, unique_name
+from jetnormal.formats.columns import Columns, UniqueNames
 
 COLORS = ("red", "green", "blue")
 
@@ -26,6 +26,7 @@ def to_storable(columns: Columns, types: frozenset[str], *, vectors: bool) -> tu
     """
     stored: Columns = {}
     warnings = []
+    unique, unique_parts = UniqueNames(), UniqueNames(columns)
     for name, column in columns.items():
         values = _stack_lists(column) if column.dtype == object and "O" not in types else column
         if values is None:
@@ -37,12 +38,12 @@ def to_storable(columns: Columns, types: frozenset[str], *, vectors: bool) -> tu
             if values.dtype != object and not _same_numbers(fitting, values):
                 warnings.append(f"attribute {name!r} of type {values.dtype} is rounded to {fitting.dtype}")
             if fitting.ndim == 1 or vectors:
-                stored[unique_name(name, stored)] = fitting
+                stored[unique.add(name)] = fitting
                 continue
             parts = fitting.reshape(len(fitting), int(np.prod(fitting.shape[1:]))).T
             warnings.append(f"attribute {name!r} is written as {len(parts)} columns {name}_0, {name}_1...")
             for index, part in enumerate(parts):
-                stored[unique_name(f"{name}_{index}", {*columns, *stored})] = part
+                stored[unique.add(unique_parts.add(f"{name}_{index}"))] = part
     return stored, warnings
 
 
@@ -77,6 +78,7 @@ def _range_type(values: NDArray[Any]) -> np.dtype[Any]:
 def unpack_colors(columns: Columns) -> Columns:
     """Replaces PCL's packed ``rgb`` or ``rgba`` column (0xAARRGGBB) by one column per channel."""
     unpacked: Columns = {}
+    unique = UniqueNames(columns)
     for name, values in columns.items():
         if name not in ("rgb", "rgba") or values.dtype.itemsize != 4 or values.ndim != 1 or "red" in columns:
             unpacked[name] = values
@@ -84,7 +86,7 @@ def unpack_colors(columns: Columns) -> Columns:
         packed = np.ascontiguousarray(values).view(np.uint32)
         channels = [*COLORS, "alpha"] if name == "rgba" else COLORS
         for channel, shift in zip(channels, (16, 8, 0, 24), strict=False):
-            unpacked[unique_name(channel, columns)] = (packed >> shift).astype(np.uint8)
+            unpacked[unique.add(channel)] = (packed >> shift).astype(np.uint8)
     return unpacked
 
 

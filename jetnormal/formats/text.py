@@ -1,8 +1,9 @@
-"""The XYZ family: rows of numbers as text, in ``.xyz .txt .asc .csv .pts`` files.
+"""The XYZ family: rows of numbers as text, in ``.xyz .xyzn .txt .asc .csv .pts`` files.
 
 Understood are blanks, tabs, commas and semicolons between the numbers (with semicolons also decimal commas);
 a line of column names, plain or as a comment; a line with the number of points; comments after ``#`` or
-``//``; Fortran's exponents (``1D3``).
+``//``; Fortran's exponents (``1D3``). The user, a line of names, or the values tell what the columns are
+(`text_columns`).
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud, Source
-from jetnormal.errors import InputError
+from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.columns import (
     COORDINATES,
     NORMALS,
     Columns,
+    UniqueNames,
     canonical_names,
     cloud_from_columns,
     columns_from_cloud,
-    unique_name,
 )
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import COLORS, to_storable, unpack_colors
 from jetnormal.formats.table import format_rows, read_table
-from jetnormal.formats.text_header import Preamble, read_preamble
+from jetnormal.formats.text_columns import SKIPPED, Layout, are_bytes, by_position, guess_names
+from jetnormal.formats.text_header import Preamble, is_number, read_preamble
 
 ENCODINGS = ("ascii",)
 
 _TYPES = frozenset(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"))
-_UNIT_TOLERANCE = 0.02  # normals in text have been rounded, often to two decimals
 _COMMENT = re.compile(rb"((?:#|//)[ \t]?)([^\r\n]*)")
 _PIECE = 1 << 24
 _EXACT_INTEGERS = 2.0**53  # from here on a double cannot hold every integer
@@ -65,36 +66,45 @@ class Style:
     spelling: dict[str, str] = field(default_factory=dict)
 
 
-def read(path: Path) -> Cloud:
+def read(path: Path, *, suffix: str, columns: str | None = None, decimal: str | None = None) -> Cloud:
     """Reads rows of numbers; see the module's text for what is understood.
 
-    Without names, the first three columns are the coordinates. The next three are normals if all have unit
-    length (NaN rows aside). The last three are colours if they are all that is left, or all but one, and hold
-    integers from 0 to 255. Any other is called ``column_4`` and so on, or ``intensity`` in a PTS file.
+    Without names, `text_columns.guess_names` tells the columns.
+
+    Args:
+        path: the file.
+        suffix: whose conventions it follows.
+        columns: what the columns are (`text_columns.Layout`).
+        decimal: "point", "comma", or None: a comma between semicolons.
 
     Raises:
         InputError: if the file is empty or is no such text.
+        UsageError: if `columns` or `decimal` make no sense, or do not fit the file.
     """
+    layout = Layout.parse(columns)
+    if decimal not in (None, "point", "comma"):
+        raise UsageError(f"the decimal sign is point or comma, not {decimal!r}")
     with _open(path) as stream:
-        preamble = read_preamble(stream, path)
+        preamble = read_preamble(stream, path, decimal)
         if not preamble.columns and not preamble.names and preamble.count != 0:
             raise InputError(f"{path}: holds no points; is this the right file?")
         numbers, comments = _read_rows(stream, preamble, path)
     if preamble.count not in (None, len(numbers[0])):
         raise InputError(f"{path}: declares {preamble.count} points but holds {len(numbers[0])}; is it truncated?")
-    names = preamble.names or _guess_names(numbers, path.suffix.lower())
-    spelling, columns = _name_columns(names, numbers, path)
+    names, notes = layout.apply(preamble.names, numbers, suffix, path)
+    spelling, found = _name_columns(names, preamble.names, numbers, path)
     comments = preamble.comments + comments
     style = Style(
-        suffix=path.suffix.lower(),
+        suffix=suffix,
         delimiter=preamble.delimiter,
         header=preamble.header,
         count_line=preamble.count is not None,
         marker=comments[0][0] if comments else "# ",
         spelling=spelling,
     )
-    source = Source(format="xyz", encoding="ascii", comments=tuple(text for _, text in comments), extra=style)
-    return cloud_from_columns(columns, source, path)
+    texts = tuple(text for _, text in comments)
+    source = Source(format="xyz", encoding="ascii", comments=texts, extra=style, notes=notes)
+    return cloud_from_columns(found, source, path)
 
 
 def _open(path: Path) -> BinaryIO:
@@ -120,12 +130,12 @@ def _read_rows(stream: BinaryIO, preamble: Preamble, path: Path) -> tuple[list[N
         return [np.empty(0) for _ in preamble.names or COORDINATES], []
     stream.seek(preamble.offset)
     pieces = iter(partial(stream.read, _PIECE), b"")
-    unusual = (b"#", b"/", b"d", b"D") + ((b",",) if preamble.delimiter == ";" else ())
+    unusual = (b"#", b"/", b"d", b"D") + ((b",",) if preamble.decimal_comma else ())
     is_unusual = any(sign in piece for piece in pieces for sign in unusual)
     stream.seek(preamble.offset)
     if not is_unusual:
         return _parse(stream, preamble, path), []
-    cleaned, comments = _clean(stream.read(), preamble.delimiter)
+    cleaned, comments = _clean(stream.read(), preamble.decimal_comma)
     return _parse(io.BytesIO(cleaned), preamble, path), comments
 
 
@@ -150,40 +160,20 @@ def _parse(stream: BinaryIO, preamble: Preamble, path: Path) -> list[NDArray[Any
     return columns
 
 
-def _clean(text: bytes, delimiter: str) -> tuple[bytes, list[tuple[str, str]]]:
+def _clean(text: bytes, decimal_comma: bool) -> tuple[bytes, list[tuple[str, str]]]:
     """Text with comments cut out, ``e`` for Fortran's ``D``, and points for decimal commas; and the comments."""
     comments = _COMMENT.findall(text)
     text = _COMMENT.sub(b"", text)
     if b"d" in text or b"D" in text:
         text = re.sub(rb"[dD](?=[-+\d])", b"e", text)
-    if delimiter == ";":
+    if decimal_comma:
         text = text.replace(b",", b".")
     return text, [(marker.decode(), comment.decode("utf-8", "surrogateescape")) for marker, comment in comments]
 
 
-def _guess_names(columns: list[NDArray[Any]], suffix: str) -> list[str]:
-    names = list(COORDINATES)
-    if len(columns) >= 6 and _are_unit(np.stack(columns[3:6], axis=1)):
-        names += NORMALS
-    rest = len(columns) - len(names)
-    numbered = [f"column_{index}" for index in range(len(names) + 1, len(columns) + 1)]
-    if suffix == ".pts" and rest in (1, 4):
-        numbered[0] = "intensity"
-    if rest in (3, 4) and all(_are_bytes(column) for column in columns[-3:]):
-        numbered[-3:] = COLORS
-    return names + numbered
-
-
-def _are_unit(vectors: NDArray[np.float64]) -> bool:
-    known = vectors[~np.isnan(vectors).all(axis=1)]
-    return len(known) > 0 and bool((np.abs(np.linalg.norm(known, axis=1) - 1) < _UNIT_TOLERANCE).all())
-
-
-def _are_bytes(values: NDArray[Any]) -> bool:
-    return values.size > 0 and bool(((values >= 0) & (values <= 255) & (values == np.rint(values))).all())
-
-
-def _name_columns(names: list[str], numbers: list[NDArray[Any]], path: Path) -> tuple[dict[str, str], Columns]:
+def _name_columns(
+    names: list[str], written: list[str] | None, numbers: list[NDArray[Any]], path: Path
+) -> tuple[dict[str, str], Columns]:
     """The columns under the names they have in a cloud, and the file's spelling of these."""
     canonical = canonical_names(dict.fromkeys(names), path)
     colors = {name: color for color in COLORS for name in names if name.lower() in (color, color[0])}
@@ -191,13 +181,16 @@ def _name_columns(names: list[str], numbers: list[NDArray[Any]], path: Path) -> 
         colors = {}
     columns: Columns = {}
     spelling = {}
-    for name, values in zip(names, numbers, strict=True):
+    unique = UniqueNames()
+    for name, spelled, values in zip(names, written or names, numbers, strict=True):
+        if name == SKIPPED:
+            continue
         known = canonical.get(name) or colors.get(name) or "_".join(name.split()) or "column"
-        key = unique_name(known, columns)
-        spelling[key] = name
+        key = unique.add(known)
+        spelling[key] = spelled
         if key in canonical.values():
             columns[key] = values
-        elif key in colors.values() and _are_bytes(values):
+        elif key in colors.values() and are_bytes(values):
             columns[key] = values.astype(np.uint8)
         else:
             columns[key] = _as_integers(values)
@@ -206,10 +199,12 @@ def _name_columns(names: list[str], numbers: list[NDArray[Any]], path: Path) -> 
 
 def _as_integers(values: NDArray[Any]) -> NDArray[Any]:
     """A column without fractions as integers, so that labels and counts are written as such again."""
-    largest = np.abs(values).max(initial=0)
-    if not largest < _EXACT_INTEGERS or (values != np.rint(values)).any():
-        return values
-    return values.astype(np.int32 if largest < 2**31 else np.int64)
+    if values.dtype.kind == "f":
+        largest = np.abs(values).max(initial=0)
+        if not largest < _EXACT_INTEGERS or (values != np.rint(values)).any():
+            return values
+    fits = not values.size or (values.min() >= -(2**31) and values.max() < 2**31)
+    return values.astype(np.int32 if fits else np.int64)
 
 
 def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list[str]:
@@ -218,7 +213,9 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list
     A file read from the same suffix keeps its delimiter, names, count line and comments. New normals have the
     precision of float32. CSV files always have a line of names; other new files but PTS have one, as a comment,
     only if there are attributes, since strict readers of plain ``x y z nx ny nz`` rows stop at it. Where names
-    are missing that `read` would not guess, a warning tells them.
+    are missing that `read` would not guess, a warning tells them. Readers without names go by position: unless the
+    file itself named its columns, the coordinates come first, then the normals, then the rest; in PTS files the
+    normals come last, behind x y z intensity red green blue.
 
     Returns:
         What could not be kept.
@@ -235,8 +232,12 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list
         has_attributes = not set(columns) <= {*COORDINATES, *NORMALS}
         style = _new_style(suffix, has_attributes)
     header = style.header or ("plain" if suffix == ".csv" else "")
+    if not style.spelling or not style.header:
+        columns = {name: columns[name] for name in by_position(list(columns), suffix)}
     if header:
-        names = style.delimiter.join(style.spelling.get(name, name) for name in columns)
+        spelled, respelled = _header_names(columns, style)
+        warnings += respelled
+        names = style.delimiter.join(spelled)
         stream.write(_encode(names if header == "plain" else f"{header}{names}"))
     elif _loses_names(columns, suffix):
         warnings.append(f"the columns' names are not kept; they are {' '.join(columns)}")
@@ -249,8 +250,22 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list
 
 def _loses_names(columns: Columns, suffix: str) -> bool:
     """Whether a reader of the numbers alone would miss the name of a column."""
-    guessed = _guess_names(list(columns.values()), suffix)
+    guessed = guess_names(list(columns.values()), suffix)
     return any(a != b and not a.startswith("column_") for a, b in zip(columns, guessed, strict=True))
+
+
+def _header_names(columns: Columns, style: Style) -> tuple[list[str], list[str]]:
+    """The names for a line of names, without what would end one, and a warning for each that had to change."""
+    names, warnings = [], []
+    unique = UniqueNames()
+    for name in columns:
+        spelled = style.spelling.get(name, name)
+        clean = re.sub(r'[,;"#\r\n]|//', "_", spelled) if name not in style.spelling else spelled
+        clean = unique.add(f"column_{clean}" if is_number(clean) else clean)
+        names.append(clean)
+        if clean != spelled:
+            warnings.append(f"attribute {name!r} is written as {clean!r}")
+    return names, warnings
 
 
 def _new_style(suffix: str, has_attributes: bool) -> Style:
@@ -266,6 +281,6 @@ def _encode(line: str) -> bytes:
 
 
 FORMATS = tuple(
-    Format("xyz", (suffix,), read, partial(write, suffix=suffix), ENCODINGS)
-    for suffix in (".xyz", ".txt", ".asc", ".csv", ".pts")
+    Format("xyz", (suffix,), partial(read, suffix=suffix), partial(write, suffix=suffix), ENCODINGS, has_columns=True)
+    for suffix in (".xyz", ".xyzn", ".txt", ".asc", ".csv", ".pts")
 )

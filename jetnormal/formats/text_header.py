@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
 from jetnormal.errors import InputError
-from jetnormal.formats.columns import COORDINATES
 
 COMMENT = re.compile(r"((?:#|//)[ \t]?)(.*)")
 
 _LONGEST_LINE = 1 << 20
+_SPELLINGS = {
+    "x": ("x", "easting", "east", "rechtswert", "ostwert", "e"),
+    "y": ("y", "northing", "north", "hochwert", "nordwert", "n"),
+    "z": ("z", "height", "elevation", "altitude", "hoehe", "höhe", "h"),
+}
+"""What files call the coordinates, without regard to case and to units in brackets."""
 
 
 @dataclass
@@ -24,6 +30,7 @@ class Preamble:
         line: its line number.
         columns: how many numbers it holds; 0 if there is no row.
         delimiter: what stands between them: a comma, semicolon, tab or blank.
+        decimal_comma: whether numbers have commas for decimal points.
         names: the names of the columns, if the file gives them.
         header: ``"plain"`` if a line of its own gives the names, what begins the comment if one does, else
             ``""``.
@@ -35,14 +42,20 @@ class Preamble:
     line: int = 0
     columns: int = 0
     delimiter: str = " "
+    decimal_comma: bool = False
     names: list[str] | None = None
     header: str = ""
     count: int | None = None
     comments: list[tuple[str, str]] = field(default_factory=list)
 
 
-def read_preamble(stream: BinaryIO, path: Path) -> Preamble:
+def read_preamble(stream: BinaryIO, path: Path, decimal: str | None = None) -> Preamble:
     """Reads up to the first row of numbers.
+
+    Args:
+        stream: at the beginning of the text.
+        path: the file, for messages.
+        decimal: "point", "comma", or None: a comma between semicolons.
 
     Raises:
         InputError: if a line is neither a comment, nor names, nor numbers; or if the names do not match the
@@ -60,7 +73,7 @@ def read_preamble(stream: BinaryIO, path: Path) -> Preamble:
         if comment:
             found.comments.append((comment[1], comment[2]))
         elif text:
-            _interpret(text, found, path)
+            _interpret(text, found, path, decimal)
     _names_from_comment(found)
     if found.names and found.columns and len(found.names) != found.columns:
         raise InputError(
@@ -70,16 +83,17 @@ def read_preamble(stream: BinaryIO, path: Path) -> Preamble:
     return found
 
 
-def _interpret(text: str, found: Preamble, path: Path) -> None:
-    values, delimiter = split_line(re.split("#|//", text)[0])
-    numeric = [_is_number(value, delimiter) for value in values]
-    if len(values) == 1 and values[0].isdecimal() and found.count is None:
+def _interpret(text: str, found: Preamble, path: Path, decimal: str | None) -> None:
+    values, delimiter = split_line(re.split("#|//", text)[0], decimal == "comma")
+    decimal_comma = decimal == "comma" or (delimiter == ";" and decimal is None)
+    numeric = [is_number(value, decimal_comma) for value in values]
+    if len(values) == 1 and values[0].isdecimal() and len(values[0]) < 19 and found.count is None:
         found.count = int(values[0])
     elif all(numeric):
         if len(values) < 3:
             raise InputError(f"{path}: line {found.line}: {len(values)} values; x, y and z are needed")
-        found.columns, found.delimiter = len(values), delimiter
-    elif any(numeric) or found.names:
+        found.columns, found.delimiter, found.decimal_comma = len(values), delimiter, decimal_comma
+    elif (any(numeric) and find_coordinates(values) is None) or found.names:
         wrong = values[numeric.index(False)]
         raise InputError(f"{path}: line {found.line}: {wrong[:40]!r} is not a number; correct the file")
     else:
@@ -92,28 +106,44 @@ def _names_from_comment(found: Preamble) -> None:
         return
     for marker, text in reversed(found.comments):
         names, _ = split_line(text)
-        known = [name.lower() for name in names]
-        if all(name in known for name in COORDINATES) and found.columns in (0, len(names)):
+        if find_coordinates(names) is not None and found.columns in (0, len(names)):
             found.names, found.header = names, marker
             found.comments.remove((marker, text))
             return
 
 
-def split_line(text: str) -> tuple[list[str], str]:
+def find_coordinates(names: Sequence[str]) -> dict[str, str] | None:
+    """Find which of the names are those of coordinates, in the words that surveyors use, in any case.
+
+    Returns:
+        These names mapped to ``x y z``; None if one is missing.
+    """
+    plain = {re.sub(r"\s*[\[(].*", "", name).strip().lower(): name for name in reversed(names)}
+    found = {}
+    for axis, spellings in _SPELLINGS.items():
+        name = next((plain[spelling] for spelling in spellings if spelling in plain), None)
+        if name is None:
+            return None
+        found[name] = axis
+    return found
+
+
+def split_line(text: str, decimal_comma: bool = False) -> tuple[list[str], str]:
     """The values of a line, without quotes, and the delimiter: a semicolon, comma, tab or blank.
 
     Numbers may be parted by tabs and blanks in any mixture; between names, a tab keeps the blanks within them.
     """
-    for delimiter in ";,\t":
-        if delimiter == "\t" and all(_is_number(word, delimiter) for word in text.split()):
+    for delimiter in ";\t" if decimal_comma else ";,\t":
+        if delimiter == "\t" and all(is_number(word, decimal_comma) for word in text.split()):
             return text.split(), delimiter if delimiter in text else " "
         if delimiter in text:
             return [value.strip().strip('"').strip() for value in text.split(delimiter)], delimiter
     return [value.strip('"') for value in text.split()], " "
 
 
-def _is_number(text: str, delimiter: str) -> bool:
-    if delimiter == ";":
+def is_number(text: str, decimal_comma: bool = False) -> bool:
+    """Whether a word is a number, perhaps with Fortran's exponent."""
+    if decimal_comma:
         text = text.replace(",", ".")
     try:
         float(re.sub(r"(?<=[\d.])[dD]", "e", text))

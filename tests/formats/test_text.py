@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jetnormal.cloud import Cloud
-from jetnormal.errors import InputError
+from jetnormal.errors import InputError, UsageError
 from jetnormal.formats import read, write
 
 POINTS = [[1.0, 2.0, 3.5], [-4.0, 0.1, 1e-3]]
@@ -106,7 +106,7 @@ NORMALS = np.array([[0.0, 0, 1], [0, -1, 0]])
     [
         (".xyz", "1 2 3\n4.5 5 6\n", "1 2 3 0 0 1\n4.5 5 6 0 -1 0\n"),
         (".txt", "# made\n1\t2\t3\t7\n4.5\t5\t6\t8\n", "# made\n1\t2\t3\t0\t0\t1\t7\n4.5\t5\t6\t0\t-1\t0\t8\n"),
-        (".pts", "2\n1 2 3 7\n4.5 5 6 8\n", "2\n1 2 3 0 0 1 7\n4.5 5 6 0 -1 0 8\n"),
+        (".pts", "2\n1 2 3 7\n4.5 5 6 8\n", "2\n1 2 3 7 0 0 1\n4.5 5 6 8 0 -1 0\n"),
         (".csv", "id;X;Y;Z\n8;1;2;3\n9;4.5;5;6\n", "id;X;Y;Z;nx;ny;nz\n8;1;2;3;0;0;1\n9;4.5;5;6;0;-1;0\n"),
         (".csv", "1,2,3\n4.5,5,6\n", "x,y,z,nx,ny,nz\n1,2,3,0,0,1\n4.5,5,6,0,-1,0\n"),
         (".asc", "//X Y Z\n2\n1 2 3\n4.5 5 6\n", "//X Y Z nx ny nz\n2\n1 2 3 0 0 1\n4.5 5 6 0 -1 0\n"),
@@ -152,12 +152,12 @@ def test_names_that_the_file_cannot_hold_are_told(tmp_path):
     """A PTS file, and one that had no names, stay without: whoever reads them must know the columns."""
     points, normals = np.eye(3), np.eye(3)
     cloud = Cloud(points, normals, {"curvature": np.array([0.5, 0.25, 0.125])})
-    told = "the columns' names are not kept; they are x y z nx ny nz curvature"
-    assert write(cloud, tmp_path / "a.pts") == [f"{tmp_path / 'a.pts'}: {told}"]
+    told = "the columns' names are not kept; they are x y z"
+    assert write(cloud, tmp_path / "a.pts") == [f"{tmp_path / 'a.pts'}: {told} curvature nx ny nz"]
     (tmp_path / "b.xyz").write_text("1 0 0\n0 1 0\n0 0 1\n")
     nameless = read(tmp_path / "b.xyz")
     cloud = Cloud(nameless.points, normals, cloud.attributes, nameless.source)
-    assert write(cloud, tmp_path / "c.xyz") == [f"{tmp_path / 'c.xyz'}: {told}"]
+    assert write(cloud, tmp_path / "c.xyz") == [f"{tmp_path / 'c.xyz'}: {told} nx ny nz curvature"]
 
 
 def test_columns_that_are_known_by_their_place_need_no_warning(tmp_path):
@@ -183,9 +183,10 @@ BAD = {
     "long row": (b"1,2,3\n4,5,6,7\n", "line 2: 4 values instead of 3"),
     "missing value": (b"1,2,3\n4,,6\n", "line 2: '' is not a number"),
     "decimal commas between blanks": (b"1,5 2,5 3,5\n", "line 1: '5 2' is not a number"),
-    "names without z": (b"x y height\n1 2 3\n", "no column 'z' among x, y, height"),
+    "names without z": (b"x y depth\n1 2 3\n", "no column 'z' among x, y, depth"),
     "names too few": (b"x y z\n1 2 3 4\n", "line 2: 4 values under 3 column names"),
     "two lines of names": (b"x y z\nm m m\n1 2 3\n", "line 2: 'm' is not a number"),
+    "a number of 5000 digits": (b"1" * 5000 + b"\n1 2 3\n", "line 1: 1 values; x, y and z are needed"),
     "count too large": (b"3\n1 2 3\n4 5 6\n", "declares 3 points but holds 2"),
     "count too small": (b"1\n1 2 3\n4 5 6\n", "declares 1 points but holds 2"),
 }
@@ -200,3 +201,149 @@ def test_bad_files_are_one_clear_line(tmp_path, case):
         read(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def numbered(rows=12, first=1):
+    return "".join(f"{index + first} {index * index} {-index} 5 7.5\n" for index in range(rows))
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_first_column_that_counts_is_the_number_of_the_point(tmp_path, first):
+    (tmp_path / "a.xyz").write_text(numbered(first=first))
+    cloud = read(tmp_path / "a.xyz")
+    assert cloud.points[3].tolist() == [9, -3, 5]
+    assert cloud.attributes["point_number"].tolist() == list(range(first, 12 + first))
+    assert list(cloud.attributes) == ["point_number", "column_5"]
+    assert "counts the points" in cloud.source.notes[0]
+    write(cloud, tmp_path / "b.xyz")
+    assert (tmp_path / "b.xyz").read_text().startswith(f"0 0 5 {first} 7.5\n")
+
+
+@pytest.mark.parametrize("text", [numbered(9), numbered().replace("3 4", "4 4"), "1 2 3\n" * 20])
+def test_few_or_uneven_numbers_are_coordinates(tmp_path, text):
+    (tmp_path / "a.xyz").write_text(text)
+    cloud = read(tmp_path / "a.xyz")
+    assert cloud.points[0, 0] == 1 and cloud.source.notes == ()
+
+
+def test_columns_by_their_order(tmp_path):
+    (tmp_path / "a.txt").write_text(numbered())
+    cloud = read(tmp_path / "a.txt", columns="time,x,z,-,y")
+    assert cloud.points[3].tolist() == [9, 7.5, -3] and list(cloud.attributes) == ["time"]
+    (tmp_path / "b.csv").write_text("a,b,c\n1,2,3\n")
+    assert read(tmp_path / "b.csv", columns="z,y,x").points.tolist() == [[3, 2, 1]]
+
+
+def test_columns_by_their_names(tmp_path):
+    (tmp_path / "a.csv").write_text("X;Lage rechts;Hoch;NN\n1;2,5;3;4\n")
+    cloud = read(tmp_path / "a.csv", columns="x=lage rechts,y=Hoch,z=NN")
+    assert cloud.points.tolist() == [[2.5, 3, 4]] and cloud.attributes["x_2"].tolist() == [1]
+    cloud.normals = np.array([[0.0, 0, 1]])
+    write(cloud, tmp_path / "b.csv")
+    assert (tmp_path / "b.csv").read_text() == "X;Lage rechts;Hoch;NN;nx;ny;nz\n1;2.5;3;4;0;0;1\n"
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "Easting,Northing,Height",
+        "RECHTSWERT,Hochwert,Höhe",
+        "X [m],Y [m],Z [m]",
+        "East,North,Elevation",
+        "e,n,h",
+        "X,Y,Z",
+    ],
+)
+def test_the_words_of_surveyors(tmp_path, names):
+    (tmp_path / "a.csv").write_text(f"id,{names},Intensity\n7,1,2,3,9\n")
+    cloud = read(tmp_path / "a.csv")
+    assert cloud.points.tolist() == [[1, 2, 3]] and list(cloud.attributes) == ["id", "Intensity"]
+    write(cloud, tmp_path / "b.csv")
+    assert (tmp_path / "b.csv").read_text() == f"id,{names},Intensity\n7,1,2,3,9\n"
+
+
+@pytest.mark.parametrize("text", ["1,5 2,25 3\n", "x\ty\tz\n1,5\t2,25\t3\n", "1,5;2,25;3\n"])
+def test_decimal_commas(tmp_path, text):
+    (tmp_path / "a.txt").write_text(text)
+    assert read(tmp_path / "a.txt", decimal="comma").points.tolist() == [[1.5, 2.25, 3]]
+
+
+def test_semicolons_and_a_decimal_point_that_the_user_insists_on(tmp_path):
+    (tmp_path / "a.txt").write_text("1,5;2,25;3\n")
+    with pytest.raises(InputError, match="'1,5' is not a number"):
+        read(tmp_path / "a.txt", decimal="point")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"columns": "x,y"}, "'z' is missing"),
+        ({"columns": "x,y,z,x"}, "'x' comes twice"),
+        ({"columns": "x,y,z"}, "names 3 columns, but there are 5"),
+        ({"columns": "x,y,z,"}, "give names like"),
+        ({"columns": "x=a,y"}, "give names like"),
+        ({"columns": "x=a,y=b,z=c"}, "has no line of names"),
+        ({"decimal": "dot"}, "point or comma"),
+    ],
+)
+def test_columns_that_do_not_fit(tmp_path, options, message):
+    (tmp_path / "a.xyz").write_text(numbered())
+    with pytest.raises(UsageError, match=message):
+        read(tmp_path / "a.xyz", **options)
+
+
+def test_only_text_has_such_columns(tmp_path):
+    write(Cloud(np.eye(3)), tmp_path / "a.ply")
+    with pytest.raises(UsageError, match="text files"):
+        read(tmp_path / "a.ply", columns="x,y,z")
+
+
+def test_without_names_the_coordinates_come_first(tmp_path):
+    """Whatever their order in a file that names them."""
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 2\n"
+        + "".join(f"property float {name}\n" for name in ("intensity", "nx", "ny", "nz", "x", "y", "z"))
+        + "end_header\n7 0 0 1 1 2 3\n8 0 0 1 4 5 6\n"
+    )
+    cloud = read(tmp_path / "a.ply")
+    for suffix, row in ((".xyz", "1 2 3 0 0 1 7"), (".pts", "1 2 3 7 0 0 1"), (".xyzn", "1 2 3 0 0 1 7")):
+        write(cloud, tmp_path / f"b{suffix}")
+        assert row in (tmp_path / f"b{suffix}").read_text()
+        again = read(tmp_path / f"b{suffix}")
+        assert again.points.tolist() == [[1, 2, 3], [4, 5, 6]] and again.normals.tolist() == [[0, 0, 1]] * 2
+
+
+def test_xyzn_holds_normals_of_any_length(tmp_path):
+    (tmp_path / "a.xyzn").write_text("1 2 3 0 0 5\n")
+    assert read(tmp_path / "a.xyzn").normals.tolist() == [[0, 0, 5]]
+
+
+def test_pts_rows_end_with_normals(tmp_path):
+    colors = {name: np.full(3, 7, np.uint8) for name in ("red", "green", "blue")}
+    cloud = Cloud(np.eye(3), np.eye(3), {"label": np.arange(3), **colors, "intensity": np.array([1.5, 2.5, 3.5])})
+    del cloud.attributes["label"]
+    write(cloud, tmp_path / "a.pts")
+    assert (tmp_path / "a.pts").read_text().splitlines()[1] == "1 0 0 1.5 7 7 7 1 0 0"
+    again = read(tmp_path / "a.pts")
+    assert list(again.attributes) == ["intensity", "red", "green", "blue"] and (again.normals == np.eye(3)).all()
+
+
+def test_the_smallest_integer_stays(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,z,id\n0,0,0,-9223372036854775808\n1,1,1,3\n")
+    assert read(tmp_path / "a.csv").attributes["id"].tolist() == [-(2**63), 3]
+
+
+def test_names_that_would_break_the_line_of_names(tmp_path):
+    values = np.arange(3)
+    cloud = Cloud(np.eye(3), attributes=dict.fromkeys(("a,b", "7", "a;b", "c#d", "e//f", "1e5"), values))
+    warnings = write(cloud, tmp_path / "a.csv")
+    assert len(warnings) == 6
+    names = ["x", "y", "z", "a_b", "column_7", "a_b_2", "c_d", "e_f", "column_1e5"]
+    assert (tmp_path / "a.csv").read_text().splitlines()[0] == ",".join(names)
+    again = read(tmp_path / "a.csv")
+    assert list(again.attributes) == names[3:] and all((v == values).all() for v in again.attributes.values())
+
+
+def test_names_of_digits_are_names(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,z,7\n0,1,2,3\n")
+    assert read(tmp_path / "a.csv").attributes["7"].tolist() == [3]
