@@ -1,0 +1,154 @@
+"""NumPy's .npy and .npz files, and the .bin files of KITTI.
+
+An .npy file holds one array: rows of x y z, perhaps with normals and more, (N, 3 or more); a grid of such rows,
+(H, W, 3 or more); or a structured array with fields of the usual names. An .npz file holds ``points`` (N, 3), perhaps
+``normals``, and attributes of N rows each, by their names.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.cloud import Cloud, Source
+from jetnormal.errors import InputError, UsageError
+from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, cloud_from_columns, columns_from_cloud
+from jetnormal.formats.npz import load_all
+from jetnormal.formats.registry import Format
+from jetnormal.formats.storage import to_storable
+from jetnormal.formats.text_columns import SKIPPED, Layout
+
+ENCODINGS = ("binary",)
+
+_POINTS = ("points", "xyz", "pos", "positions", "coordinates", "coords", "vertices", "arr_0")
+_NORMALS = ("normals", "normal")
+_TYPES = frozenset(("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"))
+
+
+def read(path: Path, *, columns: str | None = None, decimal: str | None = None) -> Cloud:
+    """Read an .npy or .npz file.
+
+    Args:
+        path: the file.
+        columns: what the columns of an array are (`text_columns.Layout`).
+        decimal: must be None; files of text have decimal signs.
+
+    Raises:
+        InputError: the file is damaged, or holds no points.
+        UsageError: `columns` do not fit the file.
+    """
+    if decimal is not None:
+        raise UsageError(f"{path}: --decimal is for text files")
+    layout = Layout.parse(columns)
+    arrays = load_all(path)
+    lower = {name.lower(): name for name in reversed(list(arrays))}
+    if all(name in lower for name in COORDINATES):
+        return _from_named(arrays, Source(format="numpy", encoding="binary"), path)
+    name = next((lower[name] for name in _POINTS if name in lower), None)
+    if name is None:
+        held = ", ".join(arrays) or "nothing"
+        raise InputError(f"{path}: no array of points among {held}; call it points")
+    source, table = _as_rows(arrays.pop(name), path)
+    if table.dtype.names:
+        return _from_named({field: table[field] for field in table.dtype.names}, source, path)
+    names, notes = layout.apply(None, list(table.T), ".npy", path)
+    found: Columns = {key: values for key, values in zip(names, table.T, strict=True) if key != SKIPPED}
+    key = next((lower[each] for each in _NORMALS if each in lower), None)
+    if key is not None and arrays[key].shape == (len(table), 3):
+        found |= dict(zip(NORMALS, arrays.pop(key).T, strict=True))
+    rest = {name: values for name, values in arrays.items() if values.ndim and len(values) == len(table)}
+    others = [name for name in arrays if name not in rest]
+    notes += (f"arrays that do not have a row for each point are left out: {', '.join(others)}",) if others else ()
+    source = Source(format="numpy", encoding="binary", width=source.width, height=source.height, notes=notes)
+    return cloud_from_columns(found | rest, source, path)
+
+
+def _as_rows(array: NDArray[Any], path: Path) -> tuple[Source, NDArray[Any]]:
+    """Points as rows (N, c) or records (N,); the source tells the shape of a grid."""
+    grid = array.ndim - (array.dtype.names is None)
+    if grid not in (1, 2) or (array.dtype.names is None and (array.shape[-1] < 3 or array.dtype.kind not in "iuf")):
+        raise InputError(
+            f"{path}: an array of shape {array.shape} and type {array.dtype} holds no points; (N, 3) or (H, W, 3) do"
+        )
+    source = Source(format="numpy", encoding="binary")
+    if grid == 2:
+        source = Source(format="numpy", encoding="binary", width=array.shape[1], height=array.shape[0])
+        array = array.reshape(-1, *array.shape[2:])
+    return source, array
+
+
+def _from_named(columns: Columns, source: Source, path: Path) -> Cloud:
+    lengths = {values.shape[:1] for values in columns.values()}
+    if len(lengths) != 1:
+        raise InputError(f"{path}: the arrays do not have the same number of rows")
+    return cloud_from_columns(columns, source, path)
+
+
+def write_npy(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
+    """Write an array (N, 3), with normals (N, 6), or with attributes a structured one (N,). Grids stay grids.
+
+    Returns:
+        What could not be kept.
+    """
+    columns, warnings = _columns(cloud)
+    table: NDArray[Any]
+    if cloud.attributes:
+        table = np.empty(len(cloud), [(name, values.dtype, values.shape[1:]) for name, values in columns.items()])
+        for name, values in columns.items():
+            table[name] = values
+    else:
+        table = np.stack([columns[name] for name in (*COORDINATES, *NORMALS) if name in columns], axis=1)
+    width, height = cloud.source.width or 0, cloud.source.height or 0
+    if cloud.source.format == "numpy" and height > 1 and width * height == len(cloud):
+        table = table.reshape(height, width, *table.shape[1:])
+    np.lib.format.write_array(stream, table, allow_pickle=False)
+    return warnings
+
+
+def write_npz(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
+    """Write the arrays ``points``, ``normals``, and one for each attribute.
+
+    Returns:
+        What could not be kept.
+    """
+    columns, warnings = _columns(cloud)
+    arrays: Columns = {"points": np.stack([columns.pop(name) for name in COORDINATES], axis=1)}
+    if cloud.normals is not None:
+        arrays["normals"] = np.stack([columns.pop(name) for name in NORMALS], axis=1)
+    clashes = {name: f"{name}_2" for name in columns if name in arrays or name == "file"}  # of savez's own parameters
+    warnings += [f"attribute {name!r} is written as {new!r}" for name, new in clashes.items()]
+    named = {clashes.get(name, name): values for name, values in columns.items()}
+    np.savez(stream, allow_pickle=False, **arrays, **named)
+    return warnings
+
+
+def _columns(cloud: Cloud) -> tuple[Columns, list[str]]:
+    columns, renamed = columns_from_cloud(cloud, NORMALS, np.dtype(np.float32))
+    columns, changed = to_storable(columns, _TYPES, vectors=True)
+    return columns, renamed + changed
+
+
+def read_kitti(path: Path) -> Cloud:
+    """Read rows x y z reflectance in float32, as in KITTI's velodyne folders; the scanner stands in the origin.
+
+    Raises:
+        InputError: the file does not consist of such rows.
+    """
+    size = path.stat().st_size
+    if size % 16:
+        raise InputError(f"{path}: {size} bytes are no rows of four float32; is this a KITTI scan?")
+    with path.open("rb") as stream:
+        table = np.fromfile(stream, "<f4").reshape(-1, 4)
+    columns: Columns = dict(zip((*COORDINATES, "intensity"), table.T, strict=True))
+    source = Source(format="kitti", encoding="binary", sensors=np.zeros((len(table), 3)))
+    return cloud_from_columns(columns, source, path)
+
+
+FORMATS = (
+    Format("numpy", (".npy",), read, write_npy, ENCODINGS, has_columns=True),
+    Format("numpy", (".npz",), read, write_npz, ENCODINGS, has_columns=True),
+    Format("kitti", (), read_kitti, None, ENCODINGS),
+)
