@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import threading
 from functools import cache
 from types import ModuleType
 
 logger = logging.getLogger(__name__)
+_lock = threading.Lock()
 
 
 @cache
 def import_open3d() -> ModuleType | None:
     """Import Open3D, or return None and warn once where it cannot be loaded.
 
+    One thread imports at a time: two that do so together can see a module without its contents.
+
     Open3D's Linux wheels link to libusb, which many machines lack: the copy that the package libusb-package
     carries is loaded then. libGL and libEGL have no such stand-in.
     """
+    with _lock:
+        return _import_or_warn()
+
+
+def _import_or_warn() -> ModuleType | None:
     try:
         return _import()
     except ImportError as error:

@@ -1,0 +1,26 @@
+"""Shapes that many tests need, and whose normals are known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def sphere(count: int, seed: int = 0) -> np.ndarray:
+    """(count, 3) random points on the unit sphere, which are their own outward normals."""
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def even_sphere(count: int) -> np.ndarray:
+    """(count, 3) evenly spread points on the unit sphere (a Fibonacci lattice), their own outward normals."""
+    index = np.arange(count) + 0.5
+    z, angle = 1 - 2 * index / count, index * np.pi * (1 + np.sqrt(5))
+    return np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
+
+
+def cube() -> tuple[np.ndarray, np.ndarray]:
+    """(8, 3) vertices and (12, 3) faces of the unit cube, counter-clockwise seen from outside."""
+    vertices = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+    faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    return vertices, np.array(faces)
