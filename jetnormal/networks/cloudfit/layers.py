@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from jetnormal.geometry.pyramid import Level
 from jetnormal.networks.cloudfit.edge_kernels import FEATURES, edge_features
 from jetnormal.networks.cloudfit.edge_ops import edge_messages, edge_mlp
-from jetnormal.networks.cloudfit.vote_ops import smallest_eigenvector, votes
+from jetnormal.networks.cloudfit.vote_ops import votes
+from jetnormal.networks.eigenvectors import smallest_eigenvector
 from jetnormal.networks.rows import by_rows, for_rows
 
 

@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from jetnormal.geometry.jet import MAX_ORDER, Jet
 from jetnormal.geometry.pyramid import Level
 from jetnormal.networks.cloudfit.layers import EdgeConv, EdgeWeights, Nodes, ZDirection, connect
-from jetnormal.networks.cloudfit.vote_ops import smallest_eigenvector, votes, weighted_jets
+from jetnormal.networks.cloudfit.vote_ops import votes, weighted_jets
+from jetnormal.networks.eigenvectors import smallest_eigenvector
 
 NODE_FEATURES = 5
 FIT_LEVELS = 3  # whose points take part in the fit
