@@ -76,8 +76,9 @@ def print_stages(model: str, count: int, repeats: int) -> None:
     """Where a whole-cloud model spends its time, as a table."""
     import torch
 
+    from jetnormal.estimators.blocks import spatial_order
     from jetnormal.estimators.factory import make_estimator
-    from jetnormal.estimators.whole_cloud import CloudEstimator, spatial_order
+    from jetnormal.estimators.whole_cloud import CloudEstimator
     from jetnormal.geometry.neighbors import NeighborIndex
     from jetnormal.geometry.pyramid import NEIGHBORS, build_pyramid
 

@@ -158,10 +158,18 @@ def _whole_cloud(model: str, network: Any, settings: dict[str, int], resources: 
     return CloudEstimator(model, network, **settings, batch_size=batch_size, threads=resources.threads)
 
 
+def _iterative(model: str, network: Any, settings: dict[str, int], resources: Resources) -> Estimator:
+    from jetnormal.estimators.iterative import ROWS, IterEstimator
+
+    batch_size = resources.batch_size or ROWS
+    return IterEstimator(model, network, **settings, batch_size=batch_size, threads=resources.threads)
+
+
 _KINDS = {
     "pca": _Kind(("k",), False, _pca),
     "jet": _Kind(("k", "order"), False, _jet),
     "patchfit": _Kind(("k", "iterations"), True, _patch_network),
     "cloudfit": _Kind(("iterations",), False, _whole_cloud),
+    "iternet": _Kind(("k", "iterations"), False, _iterative),
 }
 """By name, and networks by their architecture."""

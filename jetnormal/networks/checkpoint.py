@@ -20,11 +20,12 @@ from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 if TYPE_CHECKING:
     from jetnormal.networks.cloudfit.network import CloudFit
+    from jetnormal.networks.iternet import IterNet
 
-    Network = PatchFit | CloudFit
+    Network = PatchFit | CloudFit | IterNet
 
 FORMAT = "jetnormal-1"
-ARCHITECTURES = ("patchfit", "cloudfit")
+ARCHITECTURES = ("patchfit", "cloudfit", "iternet")
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
@@ -98,6 +99,10 @@ def _build(architecture: str, config: dict[str, Any]) -> Network:
     """A network by its architecture and its configuration."""
     if architecture == PatchFit.architecture:
         return PatchFit(PatchFitConfig(**config))
+    if architecture == "iternet":
+        from jetnormal.networks.iternet import IterNet, IterNetConfig
+
+        return IterNet(IterNetConfig(**config))
     from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig  # brings numba along
 
     return CloudFit(CloudFitConfig(**config))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from jetnormal.estimators import whole_cloud as cloud_estimator
+from jetnormal.estimators import blocks
 from jetnormal.estimators.whole_cloud import CloudEstimator
 from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig
 
@@ -56,23 +56,13 @@ def test_queries_get_what_they_get_among_all(estimator: CloudEstimator):
 def test_blocks_leave_no_seams(estimator: CloudEstimator, monkeypatch: pytest.MonkeyPatch):
     points = wavy(12_000)
     whole = estimator(points)
-    monkeypatch.setattr(cloud_estimator, "WHOLE", 3000)
-    monkeypatch.setattr(cloud_estimator, "CORE", 3000)
-    monkeypatch.setattr(cloud_estimator, "HALO_SHARE", 10.0)
-    blocks = estimator(points)
-    assert degrees(whole.normals, blocks.normals).max() < 0.1
+    monkeypatch.setattr(blocks, "WHOLE", 3000)
+    monkeypatch.setattr(blocks, "CORE", 3000)
+    monkeypatch.setattr(blocks, "HALO_SHARE", 10.0)
+    parts = estimator(points)
+    assert degrees(whole.normals, parts.normals).max() < 0.1
     queries = np.array([11_000, 3, 6000])
-    np.testing.assert_allclose(estimator(points, queries).normals, blocks.normals[queries], atol=1e-4)
-
-
-def test_a_dense_region_beside_a_block_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch):
-    rng = np.random.default_rng(0)
-    sparse, dense = rng.random((1000, 3)) * [1, 1, 0], rng.random((50_000, 3)) * [0.05, 1, 0] + [1, 0, 0]
-    core = np.arange(1000)
-    rows = cloud_estimator._with_halo(np.concatenate([sparse, dense]), core, None)
-    assert len(rows) == 1000 + cloud_estimator.HALO_SHARE * 1000
-    assert len(np.unique(rows)) == len(rows)
-    assert set(core) <= set(rows)
+    np.testing.assert_allclose(estimator(points, queries).normals, parts.normals[queries], atol=1e-4)
 
 
 def test_the_order_of_the_points_does_not_matter(estimator: CloudEstimator):

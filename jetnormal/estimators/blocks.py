@@ -1,0 +1,93 @@
+"""A large cloud in blocks, each with a halo around it, for estimators that look at whole clouds in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.estimators.base import Prediction, joined
+from jetnormal.geometry.neighbors import NeighborIndex
+
+WHOLE = 500_000  # points: a larger cloud is cut into blocks
+CORE = 250_000  # points of a block, at most, whose normals are kept
+HALO = 60.0  # width of what a block sees around its core, in root mean square distances of the 16 neighbors
+HALO_NEIGHBORS = 16
+HALO_SHARE = 1.5  # points of the halo for each point of the core, at most
+SAMPLE = 1000  # points from which the spacing of a block is told
+
+
+def in_blocks(
+    points: NDArray[np.float64],
+    queries: NDArray[np.int64] | None,
+    estimate: Callable[[NDArray[np.float64], NDArray[np.int64]], list[Prediction]],
+    threads: int | None = None,
+) -> Prediction:
+    """Estimate the queries of a cloud block by block.
+
+    Args:
+        points: (N, 3) of the cloud.
+        queries: (Q,) rows of `points`; None for all.
+        estimate: gives the predictions, in parts, of some rows of a block's points, which are in spatial order.
+        threads: CPU threads of the neighbor search; None for all cores.
+    """
+    queries = np.arange(len(points)) if queries is None else queries
+    blocks = list(_blocks(points, np.arange(len(points)), len(points) if len(points) <= WHOLE else CORE))
+    block_of = np.empty(len(points), dtype=np.int32)
+    for number, core in enumerate(blocks):
+        block_of[core] = number
+    place = np.empty(len(points), dtype=np.int64)
+    done, parts = [], []
+    for number, core in enumerate(blocks):
+        asked = np.flatnonzero(block_of[queries] == number)
+        if len(asked) == 0:
+            continue
+        rows = core if len(blocks) == 1 else _with_halo(points, core, threads)
+        rows = rows[spatial_order(points[rows])]
+        place[rows] = np.arange(len(rows))
+        asked = asked[np.argsort(place[queries[asked]])]
+        done.append(asked)
+        parts += estimate(points[rows], place[queries[asked]])
+    return joined(parts)[np.argsort(np.concatenate(done))]
+
+
+def _blocks(points: NDArray[np.float64], rows: NDArray[np.int64], largest: int) -> Iterator[NDArray[np.int64]]:
+    """Halves the (n,) rows of a cloud across the longest side of their box until none has more than `largest`."""
+    if len(rows) <= largest:
+        yield rows
+        return
+    inside = points[rows]
+    axis = int(np.argmax(np.ptp(inside, axis=0)))
+    order = np.argpartition(inside[:, axis], len(rows) // 2)
+    for half in (order[: len(rows) // 2], order[len(rows) // 2 :]):
+        yield from _blocks(points, rows[half], largest)
+
+
+def _with_halo(points: NDArray[np.float64], core: NDArray[np.int64], threads: int | None) -> NDArray[np.int64]:
+    """The rows of a block's core and of what lies around its box."""
+    inside = points[core]
+    sample = inside[:: max(1, len(core) // SAMPLE)]
+    _, distances = NeighborIndex(inside, threads=threads).query(sample, min(HALO_NEIGHBORS + 1, len(inside)))
+    width = HALO * float(np.median(np.sqrt(np.square(distances).mean(axis=1))))
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    near = np.ones(len(points), dtype=bool)
+    for axis in range(3):
+        near &= (points[:, axis] >= low[axis] - width) & (points[:, axis] <= high[axis] + width)
+    near[core] = False
+    halo = np.flatnonzero(near)
+    most = round(HALO_SHARE * len(core))
+    if len(halo) > most:  # a dense region beside a sparse one
+        outside = np.maximum(np.maximum(low - points[halo], points[halo] - high), 0)
+        halo = halo[np.argpartition(np.square(outside).sum(axis=1), most)[:most]]
+    return np.concatenate([core, halo])
+
+
+def spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """An order of (n, 3) points in which near ones are mostly close together (Morton), so that the cache has them."""
+    low = points.min(axis=0)
+    cells = ((points - low) * (0xFFFF / max(float(np.ptp(points, axis=0).max()), 1e-300))).astype(np.uint64)
+    for shift, mask in ((32, 0xFFFF00000000FFFF), (16, 0x00FF0000FF0000FF), (8, 0xF00F00F00F00F00F),
+                        (4, 0x30C30C30C30C30C3), (2, 0x9249249249249249)):  # fmt: skip
+        cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
+    return np.argsort(cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2)), kind="stable")
