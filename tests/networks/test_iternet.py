@@ -99,7 +99,7 @@ def test_every_parameter_gets_a_gradient_and_a_few_steps_learn_an_edge(network: 
             assert (parameter.grad.abs().max() > 1e-8) != idle, name
         optimizer.step()
         losses.append(loss.item())
-    assert losses[-1] < 0.3 * losses[0]
+    assert losses[-1] < 0.5 * losses[0]
 
 
 @pytest.mark.parametrize("change", [{"neighbors": 1}, {"iterations": 0}])
