@@ -16,19 +16,28 @@ from typing import TYPE_CHECKING, Any
 from jetnormal._version import __version__
 
 if TYPE_CHECKING:
+    from jetnormal import errors
+    from jetnormal.api import Estimator, estimate, reconstruct, write
     from jetnormal.cloud import Cloud
+    from jetnormal.errors import JetnormalWarning
     from jetnormal.evaluation import evaluate
-    from jetnormal.formats import read, write
-    from jetnormal.jobs.estimate import estimate
-    from jetnormal.jobs.reconstruct import reconstruct
+    from jetnormal.formats import read
+    from jetnormal.jobs.estimate import Result
+    from jetnormal.jobs.options import EstimateOptions, ReconstructOptions
     from jetnormal.mesh import Mesh
     from jetnormal.networks.checkpoint import load_model
     from jetnormal.orientation.methods import orient
 
 __all__ = [
     "Cloud",
+    "EstimateOptions",
+    "Estimator",
+    "JetnormalWarning",
     "Mesh",
+    "ReconstructOptions",
+    "Result",
     "__version__",
+    "errors",
     "estimate",
     "evaluate",
     "load_model",
@@ -40,18 +49,25 @@ __all__ = [
 
 _HOMES = {
     "Cloud": "jetnormal.cloud",
+    "EstimateOptions": "jetnormal.jobs.options",
+    "Estimator": "jetnormal.api",
+    "JetnormalWarning": "jetnormal.errors",
     "Mesh": "jetnormal.mesh",
-    "estimate": "jetnormal.jobs.estimate",
+    "ReconstructOptions": "jetnormal.jobs.options",
+    "Result": "jetnormal.jobs.estimate",
+    "estimate": "jetnormal.api",
     "evaluate": "jetnormal.evaluation",
     "load_model": "jetnormal.networks.checkpoint",
     "orient": "jetnormal.orientation.methods",
     "read": "jetnormal.formats",
-    "reconstruct": "jetnormal.jobs.reconstruct",
-    "write": "jetnormal.formats",
+    "reconstruct": "jetnormal.api",
+    "write": "jetnormal.api",
 }
 
 
 def __getattr__(name: str) -> Any:
+    if name == "errors":
+        return import_module("jetnormal.errors")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(_HOMES[name]), name)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.errors import ShapeError
+
 
 @dataclass(frozen=True)
 class Source:
@@ -46,7 +48,7 @@ class Source:
     notes: tuple[str, ...] = ()
 
 
-@dataclass
+@dataclass(repr=False)
 class Cloud:
     """N points and what is known about each of them.
 
@@ -58,7 +60,7 @@ class Cloud:
         source: what the file said about itself.
 
     Raises:
-        ValueError: if an array does not have one row per point.
+        ShapeError: an array does not have one row per point.
     """
 
     points: NDArray[np.float64]
@@ -71,13 +73,18 @@ class Cloud:
         if self.normals is not None:
             self.normals = _rows_of_three(self.normals, "normals")
             if len(self.normals) != len(self):
-                raise ValueError(f"{len(self.normals)} normals for {len(self)} points")
+                raise ShapeError(f"{len(self.normals)} normals for {len(self)} points")
         for name, values in self.attributes.items():
             if np.ndim(values) == 0 or len(values) != len(self):
-                raise ValueError(f"attribute {name!r} has shape {np.shape(values)} for {len(self)} points")
+                raise ShapeError(f"attribute {name!r} has shape {np.shape(values)} for {len(self)} points")
         sensors = self.source.sensors
         if sensors is not None and np.shape(sensors) != self.points.shape:
-            raise ValueError(f"the sensors have shape {np.shape(sensors)} for {len(self)} points")
+            raise ShapeError(f"the sensors have shape {np.shape(sensors)} for {len(self)} points")
+
+    def __repr__(self) -> str:
+        held = ["normals"] if self.normals is not None else []
+        held += [f"attributes {', '.join(self.attributes)}"] if self.attributes else []
+        return f"<Cloud: {len(self):,} points{' with ' if held else ''}{' and '.join(held)}>"
 
     def __len__(self) -> int:
         return len(self.points)
@@ -91,5 +98,5 @@ class Cloud:
 def _rows_of_three(values: NDArray[Any], name: str) -> NDArray[np.float64]:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must have shape (N, 3), not {array.shape}")
+        raise ShapeError(f"{name} must have shape (N, 3), not {array.shape}")
     return array

@@ -28,6 +28,10 @@ class InputError(JetnormalError):
     exit_code = 3
 
 
+class ShapeError(InputError, ValueError):
+    """An array whose shape does not fit."""
+
+
 class ModelError(JetnormalError):
     """An unknown, damaged or unsuitable model."""
 
@@ -38,3 +42,7 @@ class ResourceError(JetnormalError):
     """Too little memory, or a device that is not there."""
 
     exit_code = 5
+
+
+class JetnormalWarning(UserWarning):
+    """What a user of the library should know about a result; `warnings.filterwarnings` silences it by this class."""

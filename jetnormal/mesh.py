@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Mesh:
     """Triangles with shared vertices.
 
@@ -22,6 +22,10 @@ class Mesh:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     colors: NDArray[np.float64] | None = None
+
+    def __repr__(self) -> str:
+        colors = "" if self.colors is None else ", colors"
+        return f"<Mesh: {len(self.vertices):,} vertices, {len(self.faces):,} faces{colors}>"
 
     def area_vectors(self) -> NDArray[np.float64]:
         """(F, 3) float64: along each face's normal, as long as its area."""

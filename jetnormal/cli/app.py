@@ -10,15 +10,17 @@ from typing import Annotated, Any
 
 import typer
 
-import jetnormal
+from jetnormal._version import __version__
 from jetnormal.cli.dataset import dataset
+from jetnormal.cli.derive import GroupedCommand
 from jetnormal.cli.estimate import estimate
 from jetnormal.cli.evaluate import evaluate
-from jetnormal.cli.failures import report_failure
+from jetnormal.cli.failures import report_failure, report_json
 from jetnormal.cli.models import models
 from jetnormal.cli.preview import preview
 from jetnormal.cli.reconstruct import reconstruct
 from jetnormal.cli.train import train
+from jetnormal.errors import INTERRUPTED
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -26,9 +28,9 @@ app = typer.Typer(
     rich_markup_mode=None,  # plain help: importing Rich would take longer than all the rest
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(estimate)
-app.command()(reconstruct)
-app.command()(preview)
+app.command(cls=GroupedCommand)(estimate)
+app.command(cls=GroupedCommand)(reconstruct)
+app.command(cls=GroupedCommand)(preview)
 app.command()(evaluate)
 app.command()(train)
 app.command()(models)
@@ -37,7 +39,7 @@ app.command()(dataset)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"jetnormal {jetnormal.__version__}")
+        typer.echo(f"jetnormal {__version__}")
         raise typer.Exit
 
 
@@ -71,7 +73,10 @@ def main() -> None:
     _replace_closed_streams()
     _clean_up_when_ended()
     try:
-        app(prog_name="jetnormal")  # usage errors (2), interrupts (130) and closed pipes (1) exit in here
+        code = app(prog_name="jetnormal", standalone_mode=False) or 0  # of closed pipes (1), it exits in here
+        if code == INTERRUPTED:
+            report_json("interrupted", code)
+        sys.exit(code)
     except Exception as error:
         sys.exit(report_failure(error))
 

@@ -3,51 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
-from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, Viewpoint, ViewpointAttribute, set_verbosity
+from jetnormal.cli.derive import with_options
+from jetnormal.cli.failures import spell
+from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
 from jetnormal.errors import UsageError
+from jetnormal.jobs.options import EstimateOptions, ReconstructOptions
 from jetnormal.support.report import logger, print_json
 
 
+@with_options
 def estimate(
     input: Annotated[Path, typer.Argument(metavar="INPUT", help="Point cloud: .ply, .pcd or .xyz.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUTPUT", help="File to write: .ply, .pcd or .xyz.")
     ],
-    model: Annotated[
-        str,
-        typer.Option(metavar="NAME|FILE", help="A packaged network (jetnormal models), pca, jet, or a model file."),
-    ] = "auto",
-    k: Annotated[
-        int | None,
-        typer.Option("--k", min=1, metavar="K", help="Neighbors per point.", show_default="the model's"),
-    ] = None,
-    order: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Order of the fitted jet.", show_default="the model's"),
-    ] = None,
-    iterations: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Fits per patch; each takes the normal of the last as its z axis.")
-    ] = 1,
-    orient: Annotated[
-        Literal["auto", "global", "mst", "viewpoint", "up", "none"],
-        typer.Option(help="How the signs are chosen; auto takes the viewpoint if one is known, else global: outward."),
-    ] = "auto",
-    viewpoint: Viewpoint = None,
-    viewpoint_attribute: ViewpointAttribute = None,
-    curvature: Annotated[bool, typer.Option("--curvature", help="Also write the curvatures.")] = False,
-    confidence: Annotated[bool, typer.Option("--confidence", help="Also write each normal's confidence.")] = False,
-    sign_confidence: Annotated[
-        bool, typer.Option("--sign-confidence", help="Also write how sure each sign is.")
-    ] = False,
-    batch_size: Annotated[
-        int | None, typer.Option(min=1, metavar="B", help="Patches per batch.", show_default="fits memory")
-    ] = None,
-    device: Device = "auto",
-    threads: Threads = None,
+    options: EstimateOptions,
     encoding: Annotated[
         str | None,
         typer.Option(metavar="E", help="Encoding of the file, such as ascii.", show_default="the input's"),
@@ -77,32 +51,16 @@ def estimate(
     """
     set_verbosity(quiet, verbose)
     if mesh is not None:
-        check_mesh(mesh, output, orient, force)
-    from jetnormal.jobs.estimate import EstimateOptions, estimate_file
+        check_mesh(mesh, output, options.orient, force)
+    from jetnormal.jobs.estimate import estimate_file
 
-    options = EstimateOptions(
-        model=model,
-        k=k,
-        order=order,
-        iterations=iterations,
-        orient=orient,
-        viewpoint=viewpoint,
-        viewpoint_attribute=viewpoint_attribute,
-        curvature=curvature,
-        confidence=confidence,
-        sign_confidence=sign_confidence,
-        batch_size=batch_size,
-        device=device,
-        threads=threads,
-        encoding=encoding,
-        force=force,
-    )
-    summary = estimate_file(input, output, options)
+    summary = estimate_file(input, output, options, encoding=encoding, overwrite=force)
     report(summary)
     if mesh is not None:
-        from jetnormal.jobs.reconstruct import ReconstructOptions, reconstruct_file
+        from jetnormal.jobs.reconstruct import reconstruct_file
 
-        summary["mesh"] = reconstruct_file(output, mesh, ReconstructOptions(threads=threads, force=force))
+        surface = ReconstructOptions(threads=options.threads)
+        summary["mesh"] = reconstruct_file(output, mesh, surface, overwrite=force)
         report_mesh(summary["mesh"])
     if json:
         print_json(summary)
@@ -120,14 +78,20 @@ def check_mesh(mesh: Path, output: Path, orient: str, force: bool) -> None:
     if mesh.resolve() == output.resolve():
         raise UsageError(f"{mesh}: the mesh would overwrite the cloud; give it a name of its own")
     if orient == "none":
-        raise UsageError("a mesh needs to know outside from inside: leave --orient none out")
+        raise UsageError("a mesh needs to know outside from inside: leave `orient=none` out")
     check_mesh_target(mesh, overwrite=force)
+
+
+def report_warnings(summary: dict[str, Any]) -> None:
+    """Log what the user should know, in the words of the command line."""
+    summary["warnings"] = [spell(warning) for warning in summary["warnings"]]
+    for warning in summary["warnings"]:
+        logger.warning("%s", warning)
 
 
 def report_mesh(summary: dict[str, Any]) -> None:
     """Log what mesh was made, and what the user should know about it."""
-    for warning in summary["warnings"]:
-        logger.warning("%s", warning)
+    report_warnings(summary)
     count = summary["components"]
     logger.info(
         "wrote %s: %s vertices, %s faces, %d %s, %s (depth %d, normals: %s; %.1f s)",
@@ -145,8 +109,7 @@ def report_mesh(summary: dict[str, Any]) -> None:
 
 def report(summary: dict[str, Any]) -> None:
     """Log what was done, and what the user should know about it."""
-    for warning in summary["warnings"]:
-        logger.warning("%s", warning)
+    report_warnings(summary)
     logger.info(
         "wrote %s: %s of %s points have normals (model %s, signs %s; %.1f s, %s points/s)",
         summary["output"],

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 import typer
 
-from jetnormal.cli.options import Json, Quiet, Verbose, parse_vector, set_verbosity
+from jetnormal.cli.derive import with_options
+from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.jobs.options import PreviewOptions
 from jetnormal.support.report import logger, print_json
 
 
+@with_options
 def preview(
     input: Annotated[
         Path, typer.Argument(metavar="FILE", help="Cloud (.ply .pcd .xyz) or mesh (.ply .obj .stl .off .glb .npz).")
     ],
+    options: PreviewOptions,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="PICTURE", help="Picture to write: .png.")
     ] = None,
@@ -22,28 +26,6 @@ def preview(
         Path | None,
         typer.Option(metavar="PAGE", help="Page to write, in which the object turns: .html, in one file."),
     ] = None,
-    views: Annotated[
-        str,
-        typer.Option(
-            metavar="V,V,...",
-            help="Side by side: iso, front, back, left, right, top, bottom, or AZIMUTH:ELEVATION in degrees.",
-            show_default="auto: the side that was scanned, else iso",
-        ),
-    ] = "auto",
-    up: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Direction that is up in the views.")
-    ] = "0,0,1",
-    size: Annotated[
-        int, typer.Option(min=16, max=8192, metavar="N", help="Pixels of the longer side of a view.")
-    ] = 1000,
-    colors: Annotated[
-        str,
-        typer.Option(
-            metavar="C,C,...",
-            help="Side by side: normals, file (its own), plain, or auto: a cloud by its normals, a mesh by its own.",
-        ),
-    ] = "auto",
-    background: Annotated[Literal["white", "dark"], typer.Option(help="Of the picture and the page.")] = "white",
     force: Annotated[bool, typer.Option("--force", help="Overwrite PICTURE and PAGE where they exist.")] = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -62,17 +44,9 @@ def preview(
       jetnormal preview mesh.ply --html mesh.html
     """
     set_verbosity(quiet, verbose)
-    from jetnormal.jobs.preview import PreviewOptions, preview_file
+    from jetnormal.jobs.preview import preview_file
 
-    options = PreviewOptions(
-        views=tuple(view.strip() for view in views.split(",")),
-        up=up,
-        size=size,
-        colors=tuple(coloring.strip() for coloring in colors.split(",")),
-        background=background,
-        force=force,
-    )
-    summary = preview_file(input, output, html, options)
+    summary = preview_file(input, output, html, options, overwrite=force)
     for target in (summary["picture"], summary["page"]):
         if target is not None:
             logger.info("wrote %s", target)

@@ -1,50 +1,26 @@
-"""`jetnormal reconstruct`: a cloud in, a mesh out."""
+"""`jetnormal reconstruct`: one cloud in, a triangle mesh out."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
+from jetnormal.cli.derive import with_options
 from jetnormal.cli.estimate import report_mesh
-from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, Viewpoint, ViewpointAttribute, set_verbosity
+from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.jobs.options import ReconstructOptions
 from jetnormal.support.report import print_json
 
 
+@with_options
 def reconstruct(
     input: Annotated[Path, typer.Argument(metavar="INPUT", help="Point cloud: .ply, .pcd or .xyz.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="MESH", help="File to write: .ply, .obj, .stl, .off or .glb.")
     ],
-    depth: Annotated[
-        int | None,
-        typer.Option(min=4, max=12, metavar="D", help="Depth of the octree.", show_default="the points' spacing"),
-    ] = None,
-    scale: Annotated[
-        float, typer.Option(min=1, max=10, metavar="S", help="Size of the solved cube over that of the cloud.")
-    ] = 1.1,
-    trim: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            metavar="Q",
-            help="Share of the vertices to cut off where points are sparse; 0 for none.",
-            show_default="none if closed, else where the points end",
-        ),
-    ] = None,
-    recompute: Annotated[bool, typer.Option("--recompute", help="Estimate normals even if INPUT has some.")] = False,
-    model: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="What estimates normals, as in jetnormal estimate.")
-    ] = "auto",
-    orient: Annotated[
-        Literal["auto", "global", "mst", "viewpoint", "up"],
-        typer.Option(help="How their signs are chosen, as in jetnormal estimate."),
-    ] = "auto",
-    viewpoint: Viewpoint = None,
-    viewpoint_attribute: ViewpointAttribute = None,
-    device: Device = "auto",
-    threads: Threads = None,
+    options: ReconstructOptions,
     force: Annotated[bool, typer.Option("--force", help="Overwrite MESH where it exists.")] = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -68,22 +44,9 @@ def reconstruct(
       jetnormal reconstruct part.xyz -o part.stl --recompute --model jet --json
     """
     set_verbosity(quiet, verbose)
-    from jetnormal.jobs.reconstruct import ReconstructOptions, reconstruct_file
+    from jetnormal.jobs.reconstruct import reconstruct_file
 
-    options = ReconstructOptions(
-        depth=depth,
-        scale=scale,
-        trim=trim,
-        recompute=recompute,
-        model=model,
-        orient=orient,
-        viewpoint=viewpoint,
-        viewpoint_attribute=viewpoint_attribute,
-        device=device,
-        threads=threads,
-        force=force,
-    )
-    summary = reconstruct_file(input, output, options)
+    summary = reconstruct_file(input, output, options, overwrite=force)
     report_mesh(summary)
     if json:
         print_json(summary)

@@ -172,14 +172,14 @@ def _lists(names: dict[str, list[str]], split: Split) -> dict[str, list[str]]:
 def _replaceable(folder: Path, overwrite: bool) -> list[str]:
     """The names of the files in a folder if it may be replaced: it is empty, or `write_dataset` wrote all it holds."""
     if not folder.is_dir():
-        raise InputError(f"{folder}: exists and is no folder; choose another --out")
+        raise InputError(f"{folder}: exists and is no folder; choose another `out`")
     content = sorted(path.name for path in folder.iterdir())
     if content and not overwrite:
-        raise InputError(f"{folder}: already exists; use --force to replace it or choose another --out")
+        raise InputError(f"{folder}: already exists; use `overwrite` to replace it or choose another `out`")
     marker = folder / MARKER
     lines = marker.read_text(errors="replace").splitlines() if marker.is_file() else []
     listed = lines[1:] if lines[:1] == [MARKER_TITLE] else []
     strange = [name for name in content if name not in (*listed, MARKER) or not (folder / name).is_file()]
     if strange:
-        raise InputError(f"{folder}: holds what jetnormal did not write ({strange[0]}); choose another --out")
+        raise InputError(f"{folder}: holds what jetnormal did not write ({strange[0]}); choose another `out`")
     return content

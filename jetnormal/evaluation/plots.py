@@ -34,7 +34,7 @@ def check_plots(folder: Path, overwrite: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is no folder; choose another one for the pictures")
     if not overwrite and any(folder.glob("*.png")):
-        raise InputError(f"{folder}: holds pictures already; use --force to overwrite them or choose another folder")
+        raise InputError(f"{folder}: holds pictures already; use `overwrite` to replace them or choose another folder")
 
 
 def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:

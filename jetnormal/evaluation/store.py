@@ -50,7 +50,9 @@ class ResultStore:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another --results") from error
+            raise InputError(
+                f"{folder}: cannot be created ({error.strerror}); choose another folder for `results`"
+            ) from error
         self._folder = folder
 
     def path(self, cloud: str, facts: dict[str, Any]) -> Path:

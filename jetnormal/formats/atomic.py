@@ -39,7 +39,7 @@ def _find_problem(path: Path, folder: Path, overwrite: bool) -> str | None:
     if path.exists() and not path.is_file():
         return "is not a regular file; choose another output"
     if path.exists() and not overwrite:
-        return "already exists; use --force to overwrite it or choose another name"
+        return "already exists; use `overwrite` to replace it or choose another name"
     if not folder.is_dir():
         return f"the folder {folder} does not exist; create it first"
     if not os.access(folder, os.W_OK | os.X_OK):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,134 +16,115 @@ from jetnormal import formats
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
 from jetnormal.estimators.base import Estimator, Prediction
+from jetnormal.jobs.options import DEFAULT_MODEL, EstimateOptions, NormalOptions
 from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 
 if TYPE_CHECKING:
     from jetnormal.orientation.methods import Orientation
 
-DEFAULT_MODEL = "cloudfit"
 MAX_COORDINATE = 1e150  # squares of differences must be finite
 
-Vector = tuple[float, float, float]
 
+@dataclass(frozen=True, repr=False)
+class Result:
+    """The normals of N points and what is known about them.
 
-@dataclass(frozen=True)
-class EstimateOptions:
-    """How normals are estimated.
+    A row is NaN where a point is not finite or its neighbors are collinear or coincide.
 
     Attributes:
-        model: "auto" (the default network), a packaged network, "pca", "jet", or a model file; settings may follow
-            a colon (`estimators.factory.make_estimator`).
-        k: neighbors in a patch; None takes the model's.
-        order: of the jet, for "jet".
-        iterations: of a network: from the second on, each normal found replaces the learned z-direction.
-        orient: "auto", "global", "mst", "viewpoint", "up" or "none" (`orientation.methods`). "auto" takes the
-            viewpoint, given or in the file, and "global" without one.
-        viewpoint: the sensor's position in the cloud's coordinates.
-        viewpoint_attribute: names of three attributes that hold the sensor's position for each point.
-        curvature: whether to add the attributes curvature (mean), curvature_max and curvature_min.
-        confidence: whether to add the attribute confidence (`estimators.base.Prediction`).
-        sign_confidence: whether to add the attribute sign_confidence (`orientation.methods.Orientation`).
-        batch_size: patches at a time; None takes the estimator's.
-        device: "auto", "cpu", "cuda" or "cuda:N".
-        threads: CPU threads; None for all cores.
-        encoding: of the written file; None keeps the input's.
-        force: whether an existing output is overwritten.
+        normals: (N, 3) float64 unit vectors.
+        confidence: (N,) float32, 0 to 1, how good each normal is (`estimators.base.Prediction`).
+        curvatures: (N, 2) float32 principal curvatures, the larger first, in the inverse of the cloud's unit, positive
+            where the surface bends towards the normal; None of a plane.
+        sign_confidence: (N,) float32, 0 to 1, how sure each sign is (`orientation.methods.Orientation`).
+        model: what estimated the normals, with its settings.
+        orient: the method that chose the signs.
+        warnings: what a user should know.
+        seconds: wall-clock time by stage: clean, estimate, orient.
     """
 
-    model: str = "auto"
-    k: int | None = None
-    order: int | None = None
-    iterations: int = 1
-    orient: str = "auto"
-    viewpoint: Vector | None = None
-    viewpoint_attribute: tuple[str, str, str] | None = None
-    curvature: bool = False
-    confidence: bool = False
-    sign_confidence: bool = False
-    batch_size: int | None = None
-    device: str = "auto"
-    threads: int | None = None
-    encoding: str | None = None
-    force: bool = False
+    normals: NDArray[np.float64]
+    confidence: NDArray[np.float32]
+    curvatures: NDArray[np.float32] | None
+    sign_confidence: NDArray[np.float32]
+    model: str
+    orient: str
+    warnings: tuple[str, ...]
+    seconds: dict[str, float]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(N,) bool: which points have a normal."""
+        return np.asarray(np.isfinite(self.normals).all(axis=-1))
+
+    def shaped(self, shape: tuple[int, ...]) -> Result:
+        """The same, with arrays of rows in a shape such as (H, W)."""
+        curvatures = None if self.curvatures is None else self.curvatures.reshape(*shape, 2)
+        return replace(
+            self,
+            normals=self.normals.reshape(*shape, 3),
+            confidence=self.confidence.reshape(shape),
+            curvatures=curvatures,
+            sign_confidence=self.sign_confidence.reshape(shape),
+        )
+
+    def __repr__(self) -> str:
+        seconds = sum(self.seconds.values())
+        return f"<Result: {self.normals.size // 3:,} normals by {self.model}, signs by {self.orient}, {seconds:.2f} s>"
 
 
-@overload
-def estimate(points: NDArray[Any], **options: Any) -> NDArray[np.float64]: ...
-@overload
-def estimate(points: Cloud, **options: Any) -> Cloud: ...
-def estimate(points: NDArray[Any] | Cloud, **options: Any) -> NDArray[np.float64] | Cloud:
-    """Estimates oriented unit normals.
-
-    Args:
-        points: (N, 3) coordinates, or a cloud.
-        **options: the fields of `EstimateOptions`, such as `model="jet"` or `orient="up"`.
-
-    Returns:
-        For coordinates, (N, 3) float64 normals; for a cloud, a new one with normals and the attributes asked for.
-        A row is NaN where a point is not finite or its neighbors are collinear or coincide.
-
-    Raises:
-        InputError: fewer than three different finite points, or coordinates beyond 1e150.
-        UsageError: an option is out of range or contradicts another.
-        ModelError: there is no such model.
-        ResourceError: the device is not there.
-    """
-    cloud = points if isinstance(points, Cloud) else Cloud(np.asarray(points, dtype=np.float64))
-    chosen = EstimateOptions(**options)
-    result, _ = estimate_cloud(cloud, chosen, prepare_estimator(chosen), StageTimer())
-    if isinstance(points, Cloud):
-        return result
-    assert result.normals is not None
-    return result.normals
-
-
-def estimate_file(source: Path, target: Path, options: EstimateOptions) -> dict[str, Any]:
-    """Reads a cloud, estimates its normals and writes it with them.
+def estimate_file(
+    source: Path, target: Path, options: EstimateOptions, *, encoding: str | None = None, overwrite: bool = False
+) -> dict[str, Any]:
+    """Read a cloud, estimate its normals and write it with them.
 
     Args:
         source: the file to read.
         target: the file to write; its suffix tells the format.
         options: how.
+        encoding: of the written file; None keeps the input's.
+        overwrite: whether an existing output may be replaced.
 
     Returns:
         A summary: input, output, points, valid (with a normal), model, orient, seconds (by stage),
         points_per_second (of estimation and orientation), peak_memory_mb, warnings.
 
     Raises:
-        InputError: a file cannot be read or written, or as `estimate`.
-        UsageError, ModelError, ResourceError: as `estimate`.
+        InputError: a file cannot be read or written, or as `jetnormal.estimate`.
+        UsageError, ModelError, ResourceError: as `jetnormal.estimate`.
     """
     timer = StageTimer()
-    formats.check_target(target, encoding=options.encoding, overwrite=options.force)
+    formats.check_target(target, encoding=encoding, overwrite=overwrite)
     with timer.stage("model"):
         estimator = prepare_estimator(options)  # before the cloud, which may take minutes to read
     with timer.stage("read"):
         cloud = formats.read(source)
     try:
-        result, facts = estimate_cloud(cloud, options, estimator, timer)
+        result = find_normals(cloud, options, estimator, timer)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
-    busy = timer.seconds["estimate"] + timer.seconds["orient"]
+    finished, replaced = with_normals(cloud, result, options)
     with timer.stage("write"):
-        losses = formats.write(result, target, encoding=options.encoding, overwrite=options.force)
+        losses = formats.write(finished, target, encoding=encoding, overwrite=overwrite)
     notes = [f"{source}: {note}" for note in cloud.source.notes]
+    busy = timer.seconds["estimate"] + timer.seconds["orient"]
+    valid = int(result.valid.sum())
     return {
         "input": str(source),
         "output": str(target),
         "points": len(cloud),
-        **facts,
-        "seconds": {name: round(seconds, 3) for name, seconds in timer.seconds.items()},
-        "points_per_second": round(facts["valid"] / busy) if busy else None,
+        "valid": valid,
+        "model": result.model,
+        "orient": result.orient,
+        "seconds": timer.seconds,
+        "points_per_second": round(valid / busy) if busy else None,
         "peak_memory_mb": peak_memory_mb(),
-        "warnings": [*notes, *facts["warnings"], *losses],
+        "warnings": [*notes, *result.warnings, *replaced, *losses],
     }
 
 
-def estimate_cloud(
-    cloud: Cloud, options: EstimateOptions, estimator: Estimator, timer: StageTimer
-) -> tuple[Cloud, dict[str, Any]]:
-    """Estimates the normals of a cloud, for other jobs that begin with it.
+def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, timer: StageTimer) -> Result:
+    """Estimate the normals of a cloud, for other jobs that begin with it.
 
     Args:
         cloud: the cloud; its own normals do not count.
@@ -151,11 +132,8 @@ def estimate_cloud(
         estimator: what `prepare_estimator` made of the same options.
         timer: takes the stages clean, estimate and orient.
 
-    Returns:
-        The cloud with normals and attributes, and valid, model, orient and warnings of the summary.
-
     Raises:
-        InputError, UsageError: as `estimate`.
+        InputError, UsageError: as `jetnormal.estimate`.
     """
     from jetnormal.geometry.neighbors import distinct
     from jetnormal.orientation.methods import choose_signs
@@ -181,45 +159,67 @@ def estimate_cloud(
         orientation = choose_signs(points, prediction.normals, method, viewpoint=viewpoint)
         from_origin = seen_from_origin(orientation, points, options, cloud)
     orientation = from_origin or orientation
-    normals = orientation.normals
     warnings += sign_warnings(orientation, viewpoint, from_origin is not None)
 
-    full_normals = _spread(normals.astype(np.float64), copies, rows, len(cloud))
-    found = _attributes(prediction, orientation, options)
-    warnings += [f"attribute {name!r} of the input is replaced" for name in found if name in cloud.attributes]
-    attributes = cloud.attributes | {name: _spread(values, copies, rows, len(cloud)) for name, values in found.items()}
-    valid = int(np.isfinite(full_normals).all(axis=1).sum())
-    warnings += _gaps(len(cloud) - len(rows), len(rows) - valid)
+    def spread(values: NDArray[Any]) -> NDArray[Any]:
+        """Values of the distinct points as values of all rows of the cloud, NaN where there are none."""
+        full = np.full((len(cloud), *values.shape[1:]), np.nan, dtype=values.dtype)
+        full[rows] = values[copies]
+        return full
+
+    normals = spread(orientation.normals.astype(np.float64))
+    curvatures = _curvatures(prediction, orientation)
+    warnings += _gaps(len(cloud) - len(rows), len(rows) - int(np.isfinite(normals).all(axis=1).sum()))
+    return Result(
+        normals,
+        spread(prediction.confidence),
+        None if curvatures is None else spread(curvatures),
+        spread(orientation.confidence),
+        estimator.name,
+        method,
+        tuple(warnings),
+        {stage: timer.seconds[stage] for stage in ("clean", "estimate", "orient")},
+    )
+
+
+def with_normals(cloud: Cloud, result: Result, options: EstimateOptions) -> tuple[Cloud, list[str]]:
+    """Give a cloud its normals and the attributes asked for; return it, and what it lost for them."""
+    found: dict[str, NDArray[Any]] = {}
+    if options.curvature and result.curvatures is not None:
+        high, low = result.curvatures.T
+        found |= {"curvature": (high + low) / 2, "curvature_max": high, "curvature_min": low}
+    if options.confidence:
+        found["confidence"] = result.confidence
+    if options.sign_confidence:
+        found["sign_confidence"] = result.sign_confidence
+    replaced = [f"attribute {name!r} of the input is replaced" for name in found if name in cloud.attributes]
     source = cloud.source
     if source.normal_dtype is not None:  # the old normals' precision; the new ones are float32
         source = replace(source, normal_dtype=np.dtype(np.float32))
-    result = Cloud(cloud.points, full_normals, attributes, source)
-    return result, {"valid": valid, "model": estimator.name, "orient": method, "warnings": warnings}
+    return Cloud(cloud.points, result.normals, cloud.attributes | found, source), replaced
 
 
-def prepare_estimator(options: EstimateOptions) -> Estimator:
-    """The estimator asked for. What is wrong with the options, whatever the cloud, shows here.
+def prepare_estimator(options: NormalOptions) -> Estimator:
+    """Make the estimator asked for. What is wrong with the options, whatever the cloud, shows here.
 
     Raises:
-        UsageError, ModelError, ResourceError: as `estimate`.
+        UsageError, ModelError, ResourceError: as `jetnormal.estimate`.
     """
     from jetnormal.estimators.factory import make_estimator
-    from jetnormal.orientation.policy import check_sign_options
 
-    check_sign_options(options)
     model = DEFAULT_MODEL if options.model == "auto" else options.model
     iterations = options.iterations if options.iterations != 1 else None
     estimator = make_estimator(model, k=options.k, order=options.order, iterations=iterations, **_resources(options))
-    if options.curvature and not estimator.has_curvature:
-        raise UsageError(f"{estimator.name} has no curvature: leave curvature out, or choose a network or jet")
+    if isinstance(options, EstimateOptions) and options.curvature and not estimator.has_curvature:
+        raise UsageError(f"{estimator.name} has no curvature: leave out `curvature`, or choose a network or jet")
     return estimator
 
 
-def _resources(options: EstimateOptions) -> dict[str, Any]:
+def _resources(options: NormalOptions) -> dict[str, Any]:
     return {"batch_size": options.batch_size, "device": options.device, "threads": options.threads}
 
 
-def _suited_to(count: int, estimator: Estimator, options: EstimateOptions) -> tuple[Estimator, list[str]]:
+def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tuple[Estimator, list[str]]:
     """The estimator for a cloud of so many points, and what to say if it is not quite the one asked for."""
     from jetnormal.estimators.factory import make_estimator
 
@@ -231,30 +231,13 @@ def _suited_to(count: int, estimator: Estimator, options: EstimateOptions) -> tu
     return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
 
 
-def _spread(values: NDArray[Any], copies: NDArray[np.int64], rows: NDArray[np.int64], count: int) -> NDArray[Any]:
-    """Values of the distinct points as values of all rows of the cloud, NaN where there are none."""
-    full = np.full((count, *values.shape[1:]), np.nan, dtype=values.dtype)
-    full[rows] = values[copies]
-    return full
-
-
-def _attributes(
-    prediction: Prediction, orientation: Orientation, options: EstimateOptions
-) -> dict[str, NDArray[np.float32]]:
-    """The per-point results asked for beside the normals."""
-    found = {}
-    if options.curvature and prediction.curvatures is not None:
-        # a normal that was turned round sees every bend from the other side
-        turned = (orientation.normals * prediction.normals).sum(axis=1) < 0
-        high, low = prediction.curvatures.T
-        found["curvature"] = (high + low) / 2 * np.where(turned, -1, 1).astype(np.float32)
-        found["curvature_max"] = np.where(turned, -low, high)
-        found["curvature_min"] = np.where(turned, -high, low)
-    if options.confidence:
-        found["confidence"] = prediction.confidence
-    if options.sign_confidence:
-        found["sign_confidence"] = orientation.confidence
-    return found
+def _curvatures(prediction: Prediction, orientation: Orientation) -> NDArray[np.float32] | None:
+    """Principal curvatures (N, 2), the larger first, by the normals with their final signs."""
+    if prediction.curvatures is None:
+        return None
+    # a normal that was turned round sees every bend from the other side
+    turned = (orientation.normals * prediction.normals).sum(axis=1) < 0
+    return np.where(turned[:, None], -prediction.curvatures[:, ::-1], prediction.curvatures)
 
 
 def _gaps(non_finite: int, degenerate: int) -> list[str]:

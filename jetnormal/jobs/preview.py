@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,64 +15,27 @@ from jetnormal.errors import InputError, UsageError
 from jetnormal.formats import atomic
 from jetnormal.formats.meshes import MESH_SUFFIXES, read_mesh
 from jetnormal.formats.ply_header import read_header
+from jetnormal.jobs.options import PreviewOptions
 from jetnormal.mesh import Mesh
 from jetnormal.rendering.light import BACKGROUNDS
-from jetnormal.rendering.scene import COLORINGS, Scene, cloud_scene, mesh_scene
+from jetnormal.rendering.scene import Scene, cloud_scene, mesh_scene
 from jetnormal.support.report import StageTimer
 
 SUPERSAMPLING = 2
-SIZES = (16, 8192)
 GAP = 0.03  # between views, of the size
 
 
-@dataclass(frozen=True)
-class PreviewOptions:
-    """How a cloud or a mesh is shown.
-
-    Attributes:
-        views: names in `rendering.camera.VIEWS`, AZIMUTH:ELEVATION in degrees, or "auto": from the side that was
-            scanned if it is one, else "iso". A picture has them side by side.
-        up: direction (3,) in the file's coordinates that views take as up.
-        size: pixels of the longer side of each view.
-        colors: "normals", "file" (its own), "plain", or "auto": a cloud by its normals, a mesh by its own colors, as
-            far as there are any. A picture has all views in each of them, a page has the first.
-        background: "white" or "dark".
-        force: whether existing files are overwritten.
-    """
-
-    views: tuple[str, ...] = ("auto",)
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    size: int = 1000
-    colors: tuple[str, ...] = ("auto",)
-    background: str = "white"
-    force: bool = False
-
-    def __post_init__(self) -> None:
-        from jetnormal.rendering.camera import view_direction
-
-        if not self.views or not self.colors:
-            raise UsageError("there must be a view and a coloring")
-        if not (np.isfinite(self.up).all() and np.any(self.up)):
-            raise UsageError("--up takes three finite numbers, not all of them zero")
-        for view in self.views:
-            view_direction(view, np.zeros((1, 3)))
-        if not SIZES[0] <= self.size <= SIZES[1]:
-            raise UsageError(f"the size is {SIZES[0]} to {SIZES[1]} pixels, not {self.size}")
-        for coloring in self.colors:
-            if coloring not in COLORINGS:
-                raise UsageError(f"colors {coloring!r}: choose from {', '.join(COLORINGS)}")
-        if self.background not in BACKGROUNDS:
-            raise UsageError(f"background {self.background!r}: choose from {', '.join(BACKGROUNDS)}")
-
-
-def preview_file(source: Path, picture: Path | None, page: Path | None, options: PreviewOptions) -> dict[str, Any]:
-    """Draws a cloud or a mesh.
+def preview_file(
+    source: Path, picture: Path | None, page: Path | None, options: PreviewOptions, *, overwrite: bool = False
+) -> dict[str, Any]:
+    """Draw a cloud or a mesh.
 
     Args:
         source: a cloud, or a mesh: .obj, .stl, .off, .glb, .npz, or .ply with faces.
         picture: the PNG file to write, or None.
         page: the HTML file to write, or None.
         options: how.
+        overwrite: whether existing files may be replaced.
 
     Returns:
         A summary: input, picture, page, points (or vertices), faces (0 for a cloud), seconds (by stage).
@@ -84,12 +46,12 @@ def preview_file(source: Path, picture: Path | None, page: Path | None, options:
         ResourceError: the picture is of a mesh, and Open3D is not there.
     """
     if picture is None and page is None:
-        raise UsageError("give -o PICTURE.png or --html PAGE.html, or both")
+        raise UsageError("give `output` (a picture, .png) or `html` (a page), or both")
     for target, suffixes in ((picture, (".png",)), (page, (".html", ".htm"))):
         if target is not None:
             if target.suffix.lower() not in suffixes:
                 raise InputError(f"{target}: {target.suffix!r} is not {' or '.join(suffixes)}")
-            atomic.check_target(target, options.force)
+            atomic.check_target(target, overwrite)
     timer = StageTimer()
     with timer.stage("read"):
         subject = _read(source)
@@ -102,20 +64,20 @@ def preview_file(source: Path, picture: Path | None, page: Path | None, options:
 
         with timer.stage("picture"):
             content = encode_png(draw(scenes, options))
-        _write(picture, content, options.force)
+        _write(picture, content, overwrite)
     if page is not None:
         from jetnormal.rendering.page import encode_page
 
         with timer.stage("page"):
             content = encode_page(scenes[0], source.name, options.views[0], options.background)
-        _write(page, content, options.force)
+        _write(page, content, overwrite)
     return {
         "input": str(source),
         "picture": None if picture is None else str(picture),
         "page": None if page is None else str(page),
         "points": len(subject.vertices if isinstance(subject, Mesh) else subject),
         "faces": len(subject.faces) if isinstance(subject, Mesh) else 0,
-        "seconds": {name: round(seconds, 3) for name, seconds in timer.seconds.items()},
+        "seconds": timer.seconds,
     }
 
 

@@ -74,7 +74,7 @@ def poisson(
             logger.debug("Poisson solver with %d threads: %s", count, failure)
     raise ResourceError(
         f"the Poisson solver failed on {len(points)} points at depth {depth}, on one thread, too ({failure}); "
-        "it may lack memory: try a smaller --depth"
+        "it may lack memory: try a smaller `depth`"
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Protocol, get_args
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ OPEN_SHARE = 0.05  # of the points; below it, they are specks beside a closed su
 
 
 class SignOptions(Protocol):
-    """The options that say how signs are chosen (`estimation.EstimateOptions`)."""
+    """The options that say how signs are chosen (`jobs.options.NormalOptions`), which contradict no other."""
 
     @property
     def orient(self) -> str: ...
@@ -25,32 +25,6 @@ class SignOptions(Protocol):
     def viewpoint(self) -> tuple[float, float, float] | None: ...
     @property
     def viewpoint_attribute(self) -> tuple[str, str, str] | None: ...
-    @property
-    def sign_confidence(self) -> bool: ...
-
-
-def check_sign_options(options: SignOptions) -> None:
-    """Finds what is wrong with the options, whatever the cloud.
-
-    Raises:
-        UsageError: an option is out of range or contradicts another.
-    """
-    methods = ("auto", *get_args(Method))
-    if options.orient not in methods:
-        raise UsageError(f"there is no orientation {options.orient!r}; choose from {', '.join(methods)}")
-    viewpoint, names = options.viewpoint, options.viewpoint_attribute
-    if viewpoint is not None and (np.shape(viewpoint) != (3,) or not np.isfinite(viewpoint).all()):
-        raise UsageError("--viewpoint takes three finite numbers")
-    if names is not None and (len(names) != 3 or not all(names)):
-        raise UsageError("--viewpoint-attribute takes the names of three attributes, of x, y and z")
-    if viewpoint is not None and names is not None:
-        raise UsageError("--viewpoint contradicts --viewpoint-attribute: leave one of them out")
-    if options.orient not in ("auto", "viewpoint"):
-        for option, given in (("--viewpoint", viewpoint), ("--viewpoint-attribute", names)):
-            if given is not None:
-                raise UsageError(f"{option} contradicts --orient {options.orient}: leave one of them out")
-    if options.sign_confidence and options.orient == "none":
-        raise UsageError("--sign-confidence contradicts --orient none, which chooses no signs")
 
 
 def sign_method(options: SignOptions, cloud: Cloud) -> tuple[Method, NDArray[np.float64] | None]:
@@ -72,7 +46,7 @@ def sign_method(options: SignOptions, cloud: Cloud) -> tuple[Method, NDArray[np.
     if method != "viewpoint":
         return method, None
     if known is None or not np.isfinite(known[:3]).all():
-        raise UsageError("--orient viewpoint needs --viewpoint X,Y,Z: the file does not tell one")
+        raise UsageError("`orient=viewpoint` needs `viewpoint`: the file does not tell one")
     return method, np.asarray(known[:3], dtype=np.float64)
 
 
@@ -117,7 +91,7 @@ def sign_warnings(orientation: Orientation, viewpoint: NDArray[np.float64] | Non
         side = "towards the origin, where their sensor seems to have stood" if from_origin else "up"
         warnings.append(
             f"{share:.0%} of the points lie on open surfaces, which have no outside: their normals look {side}; "
-            "--viewpoint tells which side was seen"
+            "`viewpoint` tells which side was seen"
         )
     unseen = 0 if viewpoint is None or viewpoint.ndim == 1 else int((~np.isfinite(viewpoint).all(axis=1)).sum())
     if unseen:

@@ -88,6 +88,28 @@ def make_camera(points: Floats, towards: Floats, size: int) -> Camera:
     return Camera(axes, distance, scale, corner, width, height)
 
 
+def check_view(view: str) -> None:
+    """Refuse what `view_direction` does not know.
+
+    Raises:
+        UsageError: there is no such view.
+    """
+    if view != "auto" and view not in VIEWS:
+        _angles(view)
+
+
+def _angles(view: str) -> tuple[float, float]:
+    """Azimuth and elevation, in radians, of a text such as "30:20"."""
+    try:
+        azimuth, elevation = (np.deg2rad(float(part)) for part in view.split(":"))
+        if np.isfinite([azimuth, elevation]).all():
+            return float(azimuth), float(elevation)
+    except ValueError:
+        pass
+    names = ", ".join(["auto", *VIEWS])
+    raise UsageError(f"{view!r} is no view; choose from {names}, or AZIMUTH:ELEVATION in degrees")
+
+
 def view_direction(view: str, normals: Floats) -> Floats:
     """From the object to the camera (3,).
 
@@ -107,11 +129,7 @@ def view_direction(view: str, normals: Floats) -> Floats:
             return np.array(VIEWS["iso"])
         right, up, towards = camera_axes(mean)
         return towards + 0.35 * right + 0.30 * up
-    try:
-        azimuth, elevation = (np.deg2rad(float(part)) for part in view.split(":"))
-    except ValueError:
-        names = ", ".join(["auto", *VIEWS])
-        raise UsageError(f"{view!r} is no view; choose from {names}, or AZIMUTH:ELEVATION in degrees") from None
+    azimuth, elevation = _angles(view)
     around = np.array([np.sin(azimuth), -np.cos(azimuth), 0])
     return np.cos(elevation) * around + np.sin(elevation) * np.array([0, 0, 1.0])
 

@@ -34,7 +34,7 @@ def resolve_device(text: str) -> str:
     if text == "auto":
         return "cuda" if count else "cpu"
     if int(text.partition(":")[2] or 0) >= count:
-        raise ResourceError(f"there is no device {text}, only {count} CUDA devices; give --device cpu or auto")
+        raise ResourceError(f"there is no device {text}, only {count} CUDA devices; give `device=cpu` or auto")
     return text
 
 

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
+from jetnormal._version import __version__
+
 logger = logging.getLogger("jetnormal")
 
+JSON_SCHEMA = 1  # raised when a field is renamed, removed or changes its meaning; new fields may come at any time
+JSON_DIGITS = 6  # significant
 LOG_INTERVAL = 10.0  # seconds between the progress lines of a job that no terminal watches
 
 
@@ -129,11 +134,6 @@ class StageTimer:
             self.seconds[name] += time.perf_counter() - start
             logger.debug("%s: %.2f s", name, self.seconds[name])
 
-    @property
-    def total(self) -> float:
-        """Seconds of all stages together."""
-        return sum(self.seconds.values())
-
 
 def peak_memory_mb() -> float | None:
     """Most memory this process has held so far, in MB (10^6 bytes); None where the system does not tell."""
@@ -146,11 +146,20 @@ def peak_memory_mb() -> float | None:
 
 
 def print_json(summary: Mapping[str, Any]) -> None:
-    """Print one JSON object on stdout."""
-    sys.stdout.write(json.dumps(summary, indent=2, default=_plain) + "\n")
+    """Print one JSON object on stdout, headed by the version of the program and of the schema (docs/json.md)."""
+    content = {"jetnormal": __version__, "schema": JSON_SCHEMA, **summary}
+    sys.stdout.write(json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
     sys.stdout.flush()  # a closed pipe shows here, where it can be handled, and not at exit
 
 
 def _plain(value: Any) -> Any:
-    """Stand-in for what JSON does not know: NumPy's scalars and arrays as numbers, paths as text."""
-    return value.tolist() if hasattr(value, "tolist") else str(value)
+    """A value as JSON has it: NumPy's scalars and arrays as numbers with six digits, NaN as null, paths as text."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{JSON_DIGITS}g}") if math.isfinite(value) else None
+    return value if value is None or isinstance(value, (bool, int, str)) else str(value)

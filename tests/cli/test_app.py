@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import jetnormal
 from jetnormal import errors
 from jetnormal.cli.app import app, main
+from jetnormal.jobs.options import EstimateOptions
 
 COMMANDS = sorted(get_command(app).commands)
 SUMMARY = {
@@ -38,13 +39,12 @@ def estimation(monkeypatch):
     module.result = SUMMARY
     module.calls = []
 
-    def estimate_file(input, output, options):
-        module.calls.append((input, output, options))
+    def estimate_file(input, output, options, **file):
+        module.calls.append((input, output, options, file))
         if isinstance(module.result, BaseException):
             raise module.result
         return module.result
 
-    module.EstimateOptions = types.SimpleNamespace
     module.estimate_file = estimate_file
     monkeypatch.setitem(sys.modules, "jetnormal.jobs.estimate", module)
     return module
@@ -66,7 +66,7 @@ def python(code: str, **options) -> subprocess.CompletedProcess[str]:
 def test_help_of_every_command_shows_an_example_that_runs_it(command):
     result = CliRunner().invoke(app, [command, "--help"])
     assert result.exit_code == 0
-    examples = result.output.partition("Examples:")[2].partition("Options:")[0]
+    examples = result.output.partition("Examples:")[2].partition("Arguments:")[0]
     assert f"jetnormal {command} " in examples
 
 
@@ -113,7 +113,6 @@ def test_public_names_come_from_their_modules():
     from jetnormal import cloud, formats
 
     assert jetnormal.read is formats.read
-    assert jetnormal.write is formats.write
     assert jetnormal.Cloud is cloud.Cloud
     assert set(jetnormal.__all__) <= set(dir(jetnormal))
     with pytest.raises(AttributeError, match="no attribute 'raed'"):
@@ -187,40 +186,37 @@ def test_estimate_hands_over_its_options(estimation, monkeypatch):
     arguments += " --viewpoint -1,2.5,3e2 --curvature --confidence --batch-size 64 --device cpu --threads 2"
     arguments += " --encoding ascii --force"
     assert run(monkeypatch, *arguments.split()) == 0
-    ((source, target, options),) = estimation.calls
+    ((source, target, options, file),) = estimation.calls
     assert (str(source), str(target)) == ("in.ply", "out.pcd")
-    assert vars(options) == {
-        "model": "jet",
-        "k": 32,
-        "order": 2,
-        "iterations": 3,
-        "orient": "viewpoint",
-        "viewpoint": (-1.0, 2.5, 300.0),
-        "viewpoint_attribute": None,
-        "sign_confidence": False,
-        "curvature": True,
-        "confidence": True,
-        "batch_size": 64,
-        "device": "cpu",
-        "threads": 2,
-        "encoding": "ascii",
-        "force": True,
-    }
+    assert file == {"encoding": "ascii", "overwrite": True}
+    assert options == EstimateOptions(
+        "jet",
+        k=32,
+        order=2,
+        iterations=3,
+        orient="viewpoint",
+        viewpoint=(-1.0, 2.5, 300.0),
+        curvature=True,
+        confidence=True,
+        batch_size=64,
+        device="cpu",
+        threads=2,
+    )
 
 
 def test_estimate_defaults_are_those_of_the_library(monkeypatch):
     from jetnormal.jobs import estimate as estimation
 
     seen = []
-    monkeypatch.setattr(estimation, "estimate_file", lambda *arguments: seen.append(arguments) or SUMMARY)
+    monkeypatch.setattr(estimation, "estimate_file", lambda *arguments, **file: seen.append(arguments) or SUMMARY)
     assert run(monkeypatch, "estimate", "in.ply", "-o", "out.ply") == 0
-    assert seen[0][2] == estimation.EstimateOptions()
+    assert seen[0][2] == EstimateOptions()
 
 
 def test_json_is_alone_on_stdout(estimation, monkeypatch, capsys):
     assert run(monkeypatch, "estimate", "in.ply", "-o", "out.ply", "--json") == 0
     captured = capsys.readouterr()
-    assert json.loads(captured.out) == SUMMARY
+    assert json.loads(captured.out) == {"jetnormal": jetnormal.__version__, "schema": 1, **SUMMARY}
     assert "warning: 10 points are not finite" in captured.err
     assert "990 of 1,000 points" in captured.err
 
@@ -233,8 +229,7 @@ def test_quiet_prints_nothing(estimation, monkeypatch, capsys):
 STAND_IN = """
 import sys, types
 module = types.ModuleType("jetnormal.jobs.estimate")
-module.EstimateOptions = types.SimpleNamespace
-module.estimate_file = lambda *arguments: {action}
+module.estimate_file = lambda *arguments, **file: {action}
 sys.modules["jetnormal.jobs.estimate"] = module
 sys.argv = ["jetnormal", "estimate", "in.ply", "-o", "out.ply", "--json"]
 from jetnormal.cli.app import main

@@ -41,7 +41,7 @@ def test_a_real_scan_gets_normals_and_keeps_its_colors(tmp_path):
     [
         (["missing.ply", "-o", "out.ply"], 3, "missing.ply"),
         (["milk.pcd", "-o", "milk.pcd"], 3, "--force"),
-        (["milk.pcd", "-o", "out.stl"], 3, "suffix"),
+        (["milk.pcd", "-o", "out.stl"], 3, ".stl"),
         (["milk.pcd", "-o", "nowhere/out.ply"], 3, "nowhere"),
         (["two.xyz", "-o", "out.ply"], 3, "at least 3"),
         (["milk.pcd", "-o", "out.ply", "--model", "nonesuch"], 4, "nonesuch"),

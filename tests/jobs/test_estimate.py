@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import jetnormal
-from jetnormal import Cloud, formats
+from jetnormal import Cloud, estimate, formats
 from jetnormal.cloud import Source
 from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.geometry.metrics import angles
-from jetnormal.jobs.estimate import EstimateOptions, estimate, estimate_file
+from jetnormal.jobs.estimate import estimate_file
+from jetnormal.jobs.options import EstimateOptions
 
 
 def sphere(count: int = 3000) -> np.ndarray:
@@ -145,14 +146,16 @@ def test_options_that_make_no_sense_are_usage_errors(options):
     ("options", "error"),
     [
         ({"encoding": "morse"}, UsageError),
-        ({"orient": "up", "viewpoint": (0, 0, 1)}, UsageError),
+        ({"model": "pca:order=2"}, UsageError),
         ({"model": "nonesuch"}, ModelError),
     ],
 )
 def test_wrong_options_are_told_before_the_cloud_is_read(tmp_path, options, error):
     (tmp_path / "in.xyz").write_text("this is no cloud")
+    encoding = options.pop("encoding", None)
+    options = EstimateOptions(**({"model": "pca"} | options))
     with pytest.raises(error):
-        estimate_file(tmp_path / "in.xyz", tmp_path / "out.ply", EstimateOptions(**({"model": "pca"} | options)))
+        estimate_file(tmp_path / "in.xyz", tmp_path / "out.ply", options, encoding=encoding)
 
 
 def test_coordinates_whose_squares_overflow_are_an_input_error():
@@ -165,7 +168,7 @@ def test_coordinates_whose_squares_overflow_are_an_input_error():
 
 def test_a_viewpoint_of_the_file_that_is_not_finite_is_none():
     cloud = Cloud(sphere(100), source=Source(viewpoint=(np.nan, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
-    with pytest.raises(UsageError, match="--viewpoint"):
+    with pytest.raises(UsageError, match="`viewpoint`"):
         estimate(cloud, model="pca", orient="viewpoint")
     assert np.isfinite(estimate(cloud, model="pca").normals).all()
 
@@ -173,8 +176,9 @@ def test_a_viewpoint_of_the_file_that_is_not_finite_is_none():
 def test_a_replaced_attribute_is_told(tmp_path):
     formats.write(Cloud(sphere(100), attributes={"confidence": np.zeros(100)}), tmp_path / "in.ply")
     for confidence, told in ((False, []), (True, ["attribute 'confidence' of the input is replaced"])):
-        options = EstimateOptions(model="pca", confidence=confidence, force=True)
-        assert estimate_file(tmp_path / "in.ply", tmp_path / "out.ply", options)["warnings"] == told
+        options = EstimateOptions(model="pca", confidence=confidence)
+        summary = estimate_file(tmp_path / "in.ply", tmp_path / "out.ply", options, overwrite=True)
+        assert summary["warnings"] == told
         assert formats.read(tmp_path / "out.ply").attributes["confidence"].any() == confidence
 
 
@@ -187,7 +191,7 @@ def test_errors_name_the_file_and_leave_nothing_behind(tmp_path):
 
 def test_an_existing_output_is_refused_before_any_work(tmp_path):
     (tmp_path / "out.ply").write_text("precious")
-    with pytest.raises(InputError, match="--force"):
+    with pytest.raises(InputError, match="`overwrite`"):
         estimate_file(tmp_path / "missing.ply", tmp_path / "out.ply", EstimateOptions())
     assert (tmp_path / "out.ply").read_text() == "precious"
 

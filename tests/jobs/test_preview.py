@@ -13,7 +13,8 @@ from jetnormal import Cloud, formats
 from jetnormal.cli.app import app
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import write_mesh
-from jetnormal.jobs.preview import PreviewOptions, preview_file
+from jetnormal.jobs.options import PreviewOptions
+from jetnormal.jobs.preview import preview_file
 from jetnormal.mesh import Mesh
 from jetnormal.rendering.scene import cloud_scene
 
@@ -72,7 +73,7 @@ def test_a_ply_file_with_faces_is_drawn_as_a_mesh(files):
     ("source", "picture", "options", "words"),
     [
         ("missing.ply", "out.png", {}, "missing.ply"),
-        ("cloud.ply", "kept.png", {}, "--force"),
+        ("cloud.ply", "kept.png", {}, "`overwrite`"),
         ("cloud.ply", "out.jpg", {}, ".png"),
         ("cloud.ply", "nowhere/out.png", {}, "nowhere"),
         ("kept.png", "out.png", {}, "suffix"),
@@ -88,7 +89,8 @@ def test_what_cannot_be_drawn_is_an_input_error(files, source, picture, options,
 
 
 @pytest.mark.parametrize(
-    "options", [{"views": ()}, {"views": ("nowhere",)}, {"size": 3}, {"colors": ("rainbow",)}, {"colors": ()},
+    "options", [{"views": ()}, {"views": ("nowhere",)}, {"views": ("nan:0",)},
+                {"size": 3}, {"colors": ("rainbow",)}, {"colors": ()},
                 {"background": "pink"}, {"up": (0, 0, 0)}, {"up": (0, np.nan, 1)}]
 )  # fmt: skip
 def test_options_out_of_range_are_usage_errors(options):
@@ -106,5 +108,5 @@ def test_the_command_line_writes_both(files):
 
 
 def test_a_target_is_needed(files):
-    with pytest.raises(UsageError, match="--html"):
+    with pytest.raises(UsageError, match="`html`"):
         preview_file(files / "cloud.ply", None, None, PreviewOptions())

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import jetnormal
-from jetnormal import Cloud, formats
+from jetnormal import Cloud, formats, reconstruct
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import read_mesh, write_mesh
-from jetnormal.jobs.reconstruct import ReconstructOptions, reconstruct, reconstruct_file
+from jetnormal.jobs.options import ReconstructOptions
+from jetnormal.jobs.reconstruct import reconstruct_file
 from jetnormal.meshing import cleanup as surface
 from jetnormal.meshing import poisson
 from jetnormal.support.open3d_loader import import_open3d
@@ -67,8 +68,8 @@ def test_trim_overrules_what_is_decided_by_itself(tmp_path):
     formats.write(Cloud(sphere(), sphere()), tmp_path / "sphere.ply")
 
     def summary(name: str, **options: float) -> dict:
-        options = ReconstructOptions(depth=5, force=True, **options)
-        return reconstruct_file(tmp_path / name, tmp_path / "mesh.ply", options)
+        options = ReconstructOptions(depth=5, **options)
+        return reconstruct_file(tmp_path / name, tmp_path / "mesh.ply", options, overwrite=True)
 
     whole = summary("cap.ply", trim=0.0)
     assert whole["open"] and whole["trimmed"] == 0
@@ -91,8 +92,8 @@ def test_the_depth_follows_the_spacing_of_the_points(tmp_path):
     depths = []
     for count in (300, 5000):
         formats.write(Cloud(sphere(count), sphere(count)), tmp_path / "in.ply", overwrite=True)
-        options = ReconstructOptions(force=True)
-        depths.append(reconstruct_file(tmp_path / "in.ply", tmp_path / "out.ply", options)["depth"])
+        summary = reconstruct_file(tmp_path / "in.ply", tmp_path / "out.ply", ReconstructOptions(), overwrite=True)
+        depths.append(summary["depth"])
     assert depths == [4, 6]  # 2.2 / spacing is 10.7 and 44
 
 
@@ -119,11 +120,11 @@ def test_normals_of_another_length_are_used_with_a_warning(tmp_path):
 def test_scrambled_normals_are_told_and_recomputed_when_asked(tmp_path):
     signs = np.random.default_rng(1).choice([-1.0, 1.0], (2000, 1))
     formats.write(Cloud(sphere(), sphere() * signs), tmp_path / "in.ply")
-    options = {"depth": 5, "force": True, "model": "jet"}
-    used = reconstruct_file(tmp_path / "in.ply", tmp_path / "out.ply", ReconstructOptions(**options))
+    files = tmp_path / "in.ply", tmp_path / "out.ply"
+    used = reconstruct_file(*files, ReconstructOptions(depth=5, model="jet"))
     assert any("opposite normals" in warning for warning in used["warnings"])
-    assert any("--recompute" in warning for warning in used["warnings"])
-    again = reconstruct_file(tmp_path / "in.ply", tmp_path / "out.ply", ReconstructOptions(recompute=True, **options))
+    assert any("`recompute`" in warning for warning in used["warnings"])
+    again = reconstruct_file(*files, ReconstructOptions(depth=5, model="jet", recompute=True), overwrite=True)
     assert used["normals"] == "file" and again["normals"].startswith("jet")
     assert again["watertight"] and again["warnings"] == []
 
@@ -140,8 +141,8 @@ def test_a_mesh_given_for_a_cloud_is_told(tmp_path):
         (Cloud(sphere(9), sphere(9)), "at least 10"),
         (Cloud(np.repeat(sphere(9), 9, axis=0), np.repeat(sphere(9), 9, axis=0)), "at least 10"),
         (Cloud(np.arange(60.0)[:, None] * [1, 2, 3], sphere(60)), "one line"),
-        (Cloud(sphere(50), np.full((50, 3), np.nan)), "--recompute"),
-        (Cloud(sphere(50), np.zeros((50, 3))), "--recompute"),
+        (Cloud(sphere(50), np.full((50, 3), np.nan)), "`recompute`"),
+        (Cloud(sphere(50), np.zeros((50, 3))), "`recompute`"),
         (Cloud(np.r_[sphere(50), [[1e300, 0, 0]]], np.r_[sphere(50), [[1.0, 0, 0]]]), r"1e\+300"),
         (Cloud(np.zeros((0, 3))), "at least 3"),
     ],

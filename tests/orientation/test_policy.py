@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jetnormal import Cloud, formats
+from jetnormal import Cloud, estimate, formats
 from jetnormal.cloud import Source
 from jetnormal.errors import InputError, UsageError
-from jetnormal.jobs.estimate import EstimateOptions, estimate, estimate_file
+from jetnormal.jobs.estimate import estimate_file
+from jetnormal.jobs.options import EstimateOptions
 from jetnormal.orientation.methods import Orientation
 from jetnormal.orientation.policy import seen_from_origin, sign_method
 

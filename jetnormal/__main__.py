@@ -1,0 +1,5 @@
+"""`python -m jetnormal`."""
+
+from jetnormal.cli.app import main
+
+main()

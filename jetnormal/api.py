@@ -1,0 +1,255 @@
+"""The Python library: takes what a caller has, runs a job on it, gives back what the caller would use next.
+
+Options are the fields of `jobs.options`: the signatures are derived from them, so that `help`, editors and type
+checkers know each one.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal import formats
+from jetnormal.cloud import Cloud
+from jetnormal.convert import library_of, to_cloud, to_open3d
+from jetnormal.errors import JetnormalWarning, UsageError
+from jetnormal.jobs.estimate import Result, find_normals, prepare_estimator, with_normals
+from jetnormal.jobs.options import EstimateOptions, NormalOptions, ReconstructOptions
+from jetnormal.mesh import Mesh
+from jetnormal.support.options import Option, Vector, fields
+from jetnormal.support.report import StageTimer
+from jetnormal.support.suggest import did_you_mean
+
+Path_ = str | PathLike[str]
+P = ParamSpec("P")
+R = TypeVar("R")
+KEPT_MODELS = 4  # by `estimate`, in memory
+
+
+def _options(kind: Callable[P, Any]) -> Callable[[Callable[[Any, Any], R]], Callable[Concatenate[Any, P], R]]:
+    """Give a function of points and an option set the fields of the set as options of its own."""
+
+    def decorate(function: Callable[[Any, Any], R]) -> Callable[Concatenate[Any, P], R]:
+        own = fields(kind)  # type: ignore[arg-type]
+        names = [field.name for field in own]
+
+        @functools.wraps(function)
+        def call(points: Any, *positional: P.args, **options: P.kwargs) -> R:
+            for name in options:
+                if name not in names:
+                    hint = did_you_mean(name, names)
+                    raise TypeError(f"{function.__name__}() has no option {name!r}{hint}")
+            return function(points, kind(*positional, **options))
+
+        made: Any = call
+        made.__signature__ = _signature(function, kind)
+        lines = [f"    {one.name}: {one.note.help}" for one in own if isinstance(one.note, Option)]
+        made.__doc__ = f"{inspect.getdoc(function)}\n\nOptions:\n" + "\n".join(lines)
+        return call
+
+    return decorate
+
+
+def _signature(function: Callable[..., Any], kind: Any) -> inspect.Signature:
+    types = {field.name: field.type for field in fields(kind)}
+    own = inspect.signature(function, eval_str=True)
+    first, _ = own.parameters.values()
+    rest = [one.replace(annotation=types[one.name]) for one in inspect.signature(kind).parameters.values()]
+    return inspect.Signature([first, *rest], return_annotation=own.return_annotation)
+
+
+def _warn(messages: Iterable[str]) -> None:
+    """Send warnings to the line of the caller's program that called this module."""
+    depth = 2
+    frame = inspect.currentframe()
+    while frame is not None and frame.f_globals.get("__name__") == __name__:
+        frame = frame.f_back
+        depth += 1
+    for message in messages:
+        warnings.warn(message, JetnormalWarning, stacklevel=depth - 1)
+
+
+@dataclass(frozen=True, repr=False)
+class Estimator(NormalOptions):
+    """An estimator of normals that is loaded once and called for many clouds.
+
+    >>> estimate = jetnormal.Estimator("cloudfit", threads=1)
+    >>> result = estimate(points)
+    >>> result.normals, result.confidence, result.warnings
+
+    Its options are those of `jetnormal.estimate`; each says more in `help(jetnormal.estimate)`.
+
+    Raises:
+        UsageError: an option is out of range or contradicts another.
+        ModelError: there is no such model.
+        ResourceError: the device is not there.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "_loaded", prepare_estimator(self))
+
+    def __call__(self, points: Any, *, viewpoint: Vector | None = None) -> Result:
+        """Estimate oriented unit normals.
+
+        Args:
+            points: (N, 3) or organised (H, W, 3) coordinates, a cloud, the path of one, or an object of PyTorch,
+                Open3D, trimesh or PyVista.
+            viewpoint: where the sensor stood this time, (x, y, z) in the frame of the points.
+
+        Returns:
+            The normals and what is known about them, by row as the points; of (H, W, 3) points, by row and column.
+
+        Raises:
+            InputError: there are fewer than three different finite points, or coordinates beyond 1e150.
+            ShapeError: the points are of another shape.
+        """
+        options: NormalOptions = self
+        if viewpoint is not None:
+            options = replace(_plain(self, NormalOptions), viewpoint=viewpoint)
+        cloud = _taken(points)
+        found = find_normals(cloud, options, self._loaded, StageTimer())  # type: ignore[attr-defined]
+        _warn([*cloud.source.notes, *found.warnings])
+        return found.shaped(_rows_of(points, cloud))
+
+    def __repr__(self) -> str:
+        chosen = (f"{field.name}={value!r}" for field in fields(type(self))
+                  if (value := getattr(self, field.name)) != field.default)  # fmt: skip
+        return f"Estimator({', '.join(chosen)})"
+
+
+class _Estimate(Protocol[P]):
+    """`estimate` as type checkers see it, with the options P."""
+
+    @overload
+    def __call__(self, points: Cloud | Path_, *positional: P.args, **options: P.kwargs) -> Cloud: ...
+    @overload
+    def __call__(
+        self, points: NDArray[Any] | list[Any] | tuple[Any, ...], *positional: P.args, **options: P.kwargs
+    ) -> NDArray[np.float64]: ...
+    @overload
+    def __call__(self, points: object, *positional: P.args, **options: P.kwargs) -> Any: ...
+
+
+def _estimates(kind: Callable[P, Any]) -> Callable[[Callable[[Any, Any], Any]], _Estimate[P]]:
+    return _options(kind)  # type: ignore[return-value]
+
+
+@_estimates(EstimateOptions)
+def estimate(points: Any, options: EstimateOptions) -> Any:
+    """Estimate oriented unit normals; the model stays loaded for the next call.
+
+    Args:
+        points: (N, 3) or organised (H, W, 3) coordinates, a cloud, the path of one, or an object of PyTorch, Open3D,
+            trimesh or PyVista.
+
+    Returns:
+        For a cloud or a path, a new cloud with normals and the attributes asked for; for an Open3D cloud, such a one;
+        for all else float64 normals in the shape of the points. A row is NaN where a point is not finite or its
+        neighbors are collinear or coincide. `jetnormal.Estimator` tells more.
+
+    Raises:
+        InputError: there are fewer than three different finite points, or coordinates beyond 1e150.
+        ShapeError: the points are of another shape.
+        UsageError: an option is out of range or contradicts another, or attributes are asked for of plain points.
+        ModelError: there is no such model.
+        ResourceError: the device is not there.
+    """
+    cloud = _taken(points)
+    plain = not isinstance(points, (Cloud, str, PathLike)) and library_of(points) != "open3d"
+    for name in ("curvature", "confidence", "sign_confidence"):
+        if plain and getattr(options, name):
+            raise UsageError(f"`{name}` is an attribute of a cloud: pass a Cloud, or take the Result of an Estimator")
+    result = find_normals(cloud, options, _loaded(options), StageTimer())
+    finished, replaced = with_normals(cloud, result, options)
+    _warn([*cloud.source.notes, *result.warnings, *replaced])
+    if plain:
+        return result.shaped(_rows_of(points, cloud)).normals
+    return finished if isinstance(points, (Cloud, str, PathLike)) else to_open3d(points, finished)
+
+
+@_options(ReconstructOptions)
+def reconstruct(points: Any, options: ReconstructOptions) -> Mesh:
+    """Make a triangle mesh of points: screened Poisson reconstruction (Kazhdan and Hoppe, 2013).
+
+    Args:
+        points: as for `jetnormal.estimate`; the normals and colors of a cloud are used if it has some.
+
+    Returns:
+        The mesh, in the coordinates of the points, with their colors.
+
+    Raises:
+        InputError: there are fewer than ten different points with a normal, or all of them lie on one line.
+        ShapeError: the points are of another shape.
+        UsageError: an option is out of range or contradicts another.
+        ModelError: there is no such model.
+        ResourceError: the device or Open3D is not there, or its solver fails.
+    """
+    from jetnormal.jobs.reconstruct import reconstruct_cloud
+
+    cloud = _taken(points)
+    mesh, facts = reconstruct_cloud(cloud, options, StageTimer())
+    _warn([*cloud.source.notes, *facts["warnings"]])
+    return mesh
+
+
+def write(content: Any, path: Path_, *, encoding: str | None = None, overwrite: bool = False) -> None:
+    """Write a cloud or a mesh; the file appears complete or not at all.
+
+    Args:
+        content: a `Mesh`, a `Cloud`, or points as for `jetnormal.estimate`.
+        path: the target, whose suffix tells the format.
+        encoding: of a cloud, such as "ascii" or "binary"; None keeps what the cloud was read in.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        InputError: the file cannot be written.
+        UsageError: the format has no such encoding.
+    """
+    if isinstance(content, Mesh):
+        from jetnormal.formats.meshes import write_mesh
+
+        if encoding is not None:
+            raise UsageError("`encoding` is an option of clouds; a mesh has one by its suffix")
+        _warn(write_mesh(content, path, overwrite=overwrite))
+    else:
+        _warn(formats.write(to_cloud(content), path, encoding=encoding, overwrite=overwrite))
+
+
+def _taken(points: Any) -> Cloud:
+    return formats.read(points) if isinstance(points, (str, PathLike)) else to_cloud(points)
+
+
+def _rows_of(points: Any, cloud: Cloud) -> tuple[int, ...]:
+    """The shape that results for points have: (H, W) of organised ones, else (N,)."""
+    shape = np.shape(points) if not isinstance(points, (Cloud, str, PathLike)) else ()
+    return shape[:2] if len(shape) == 3 else (len(cloud),)
+
+
+def _plain(options: NormalOptions, kind: type[NormalOptions]) -> NormalOptions:
+    """The options alone, of something that has more."""
+    return kind(**{field.name: getattr(options, field.name) for field in fields(kind)})
+
+
+def _loaded(options: EstimateOptions) -> Any:
+    """The estimator for some options, the one of an earlier call where its model file has not changed since."""
+    from jetnormal.estimators.factory import model_file
+    from jetnormal.jobs.options import DEFAULT_MODEL
+
+    file = model_file(DEFAULT_MODEL if options.model == "auto" else options.model)
+    stamp = None if file is None else (str(file), file.stat().st_mtime_ns, file.stat().st_size)
+    signs = {"orient": "auto", "viewpoint": None, "viewpoint_attribute": None}
+    return _kept(replace(options, confidence=False, sign_confidence=False, **signs), stamp)  # type: ignore[arg-type]
+
+
+@functools.lru_cache(maxsize=KEPT_MODELS)
+def _kept(options: EstimateOptions, stamp: tuple[str, int, int] | None) -> Any:
+    return prepare_estimator(options)

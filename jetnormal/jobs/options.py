@@ -1,0 +1,223 @@
+"""The options of the jobs, each told once: commands, signatures and documentation are derived from them.
+
+This module imports nothing heavy: the command line needs it to print its help.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass
+from typing import Annotated, Any, Literal
+
+from jetnormal.errors import UsageError
+from jetnormal.support.options import Option, OptionSet, Vector
+
+DEFAULT_MODEL = "cloudfit"
+DEPTHS = (4, 12)  # of the octree: 16 to 4096 cells along a side
+
+Names = tuple[str, str, str]
+
+
+def parse_vector(text: str) -> Vector:
+    """Turn "X,Y,Z" into three numbers."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{text!r} is not X,Y,Z: three numbers with commas between them") from None
+    return x, y, z
+
+
+def parse_names(text: str) -> Names:
+    """Turn "X,Y,Z" into three names."""
+    names = tuple(part.strip() for part in text.split(","))
+    if len(names) != 3 or not all(names):
+        raise ValueError(f"{text!r} is not X,Y,Z: three names of attributes with commas between them")
+    return names
+
+
+def parse_words(text: str) -> tuple[str, ...]:
+    """Turn "A,B,..." into words."""
+    return tuple(part.strip() for part in text.split(","))
+
+
+@dataclass(frozen=True)
+class NormalOptions(OptionSet):
+    """How normals are estimated and how their signs are chosen.
+
+    Raises:
+        UsageError: an option is out of range or contradicts another.
+    """
+
+    model: Annotated[
+        str,
+        Option(
+            "auto (cloudfit), another packaged network (jetnormal models), pca, jet, or a model file; settings may "
+            "follow a colon, as in jet:k=32,order=2.",
+            metavar="NAME|FILE",
+            group="Model",
+        ),
+    ] = "auto"
+    _: KW_ONLY
+    k: Annotated[
+        int | None,
+        Option(
+            "Neighbors per point (pca, jet, patch networks).", low=1, metavar="K", default="the model's", group="Model"
+        ),
+    ] = None
+    order: Annotated[
+        int | None, Option("Order of the fitted jet (jet).", low=1, metavar="N", default="the model's", group="Model")
+    ] = None
+    iterations: Annotated[
+        int,
+        Option(
+            "Fits per point (networks); each takes the normal of the last as its z axis.",
+            low=1,
+            metavar="N",
+            group="Model",
+        ),
+    ] = 1
+    orient: Annotated[
+        Literal["auto", "global", "mst", "viewpoint", "up", "none"],
+        Option(
+            "How the signs are chosen; auto takes the viewpoint if one is known, else global: outward.", group="Signs"
+        ),
+    ] = "auto"
+    viewpoint: Annotated[
+        Vector | None,
+        Option("Position that the normals look towards.", parse=parse_vector, metavar="X,Y,Z", group="Signs"),
+    ] = None
+    viewpoint_attribute: Annotated[
+        Names | None,
+        Option("Attributes that hold this position for each point.", parse=parse_names, metavar="X,Y,Z", group="Signs"),
+    ] = None
+    device: Annotated[str, Option("Where a patch network runs.", metavar="auto|cpu|cuda[:N]", group="Resources")] = (
+        "auto"
+    )
+    threads: Annotated[
+        int | None, Option("CPU threads.", low=1, metavar="T", default="all cores", group="Resources")
+    ] = None
+    batch_size: Annotated[
+        int | None, Option("Patches at a time.", low=1, metavar="B", default="fits memory", group="Resources")
+    ] = None
+
+    def __post_init__(self) -> None:
+        given: Any = self.viewpoint
+        if hasattr(given, "__len__") and not isinstance(given, str):  # a list or an array is as good as a tuple
+            object.__setattr__(self, "viewpoint", tuple(float(value) for value in given))
+        super().__post_init__()
+        viewpoint, names = self.viewpoint, self.viewpoint_attribute
+        if viewpoint is not None and not all(map(math.isfinite, viewpoint)):
+            raise UsageError("`viewpoint` takes three finite numbers")
+        if names is not None and not all(names):
+            raise UsageError("`viewpoint_attribute` takes the names of three attributes, of x, y and z")
+        if viewpoint is not None and names is not None:
+            raise UsageError("`viewpoint` contradicts `viewpoint_attribute`: leave one of them out")
+        if self.orient not in ("auto", "viewpoint"):
+            for option in ("viewpoint", "viewpoint_attribute"):
+                if getattr(self, option) is not None:
+                    raise UsageError(f"`{option}` contradicts `orient={self.orient}`: leave one of them out")
+
+
+@dataclass(frozen=True)
+class EstimateOptions(NormalOptions):
+    """What `jetnormal.estimate` does: how normals are estimated, and what a cloud gets beside them."""
+
+    _: KW_ONLY
+    curvature: Annotated[
+        bool, Option("Add the attributes curvature (the mean), curvature_max and curvature_min.", group="Attributes")
+    ] = False
+    confidence: Annotated[
+        bool, Option("Add the attribute confidence, 0 to 1: how good the normal is.", group="Attributes")
+    ] = False
+    sign_confidence: Annotated[
+        bool, Option("Add the attribute sign_confidence, 0 to 1: how sure the sign is.", group="Attributes")
+    ] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sign_confidence and self.orient == "none":
+            raise UsageError("`sign_confidence` contradicts `orient=none`, which chooses no signs")
+
+
+@dataclass(frozen=True)
+class SurfaceOptions(OptionSet):
+    """How a mesh is made of oriented points.
+
+    A surface is taken as open, and cut where the points end, if more than 2 % of its area is farther from all points
+    than three times the radius around the nearest of them that holds eight others.
+    """
+
+    _: KW_ONLY
+    depth: Annotated[
+        int | None,
+        Option(
+            "Depth of Poisson's octree, 2^D cells along a side.",
+            low=DEPTHS[0], high=DEPTHS[1], metavar="D", default="the points' spacing", group="Surface",
+        ),
+    ] = None  # fmt: skip
+    scale: Annotated[
+        float, Option("Size of the solved cube over that of the cloud.", low=1, high=10, metavar="S", group="Surface")
+    ] = 1.1
+    trim: Annotated[
+        float | None,
+        Option(
+            "Share of the vertices to cut off where points are sparse; 0 for none.",
+            low=0, high=1, metavar="Q", default="none if closed, else where the points end", group="Surface",
+        ),
+    ] = None  # fmt: skip
+    recompute: Annotated[bool, Option("Estimate normals even if the cloud has some.", group="Surface")] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.trim == 1:
+            raise UsageError("`trim` is a share below 1: nothing would be left")
+
+
+@dataclass(frozen=True)
+class ReconstructOptions(NormalOptions, SurfaceOptions):
+    """What `jetnormal.reconstruct` does: how a mesh is made, and how normals are estimated if there are none.
+
+    On one thread, the same cloud gives the same mesh bit for bit; on more, the order of its vertices changes.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.orient == "none":
+            raise UsageError("a surface needs to know outside from inside: leave `orient=none` out")
+
+
+@dataclass(frozen=True)
+class PreviewOptions(OptionSet):
+    """How a cloud or a mesh is shown."""
+
+    _: KW_ONLY
+    views: Annotated[
+        tuple[str, ...],
+        Option(
+            "Side by side: iso, front, back, left, right, top, bottom, or AZIMUTH:ELEVATION in degrees.",
+            parse=parse_words, metavar="V,V,...", default="auto: the side that was scanned, else iso",
+        ),
+    ] = ("auto",)  # fmt: skip
+    up: Annotated[
+        Vector, Option("Direction that is up in the views.", parse=parse_vector, metavar="X,Y,Z", default="0,0,1")
+    ] = (0.0, 0.0, 1.0)
+    size: Annotated[int, Option("Pixels of the longer side of a view.", low=16, high=8192, metavar="N")] = 1000
+    colors: Annotated[
+        tuple[Literal["auto", "normals", "file", "plain"], ...],
+        Option(
+            "Side by side: normals, file (its own), plain, or auto: a cloud by its normals, a mesh by its own.",
+            parse=parse_words, metavar="C,C,...", default="auto",
+        ),
+    ] = ("auto",)  # fmt: skip
+    background: Annotated[Literal["white", "dark"], Option("Of the picture and the page.")] = "white"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        from jetnormal.rendering.camera import check_view
+
+        if not self.views or not self.colors:
+            raise UsageError("there must be a view and a coloring")
+        for view in self.views:
+            check_view(view)
+        if not (all(map(math.isfinite, self.up)) and any(self.up)):
+            raise UsageError("`up` takes three finite numbers, not all of them zero")
