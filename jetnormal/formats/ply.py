@@ -12,7 +12,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -75,40 +75,56 @@ def read(path: Path) -> Cloud:
             )
         vertex = header.elements[names.index("vertex")]
         others = tuple(element for element in header.elements if element is not vertex)
+        trailing = 0
         if vertex is header.elements[0]:
             columns = read_element(stream, vertex, header.encoding, path, header.lines + 1)
             body = stream.read()
-            _check_body(others, header.encoding, body, path, header.lines + 1 + vertex.count)
+            size = _check_body(others, header.encoding, body, path, header.lines + 1 + vertex.count)
+            body, trailing = body[:size], len(body) - size
         else:
             parsed = _parse(stream, header.elements, header.encoding, path, header.lines + 1)
             columns = parsed.pop("vertex")
             body = _format(parsed, others, header.encoding)
+            trailing = len(stream.read()) if header.encoding != "ascii" else 0
     lengths = {prop.name: prop.length_type for prop in vertex.properties if prop.length_type}
     extra = PlyExtra(header.object_info, others, header.encoding, body, lengths, vertex.count, path, header.lines)
-    source = Source(format="ply", encoding=header.encoding, comments=header.comments, extra=extra)
+    notes = (f"{trailing} bytes behind the last element are left out",) if trailing else ()
+    source = Source(format="ply", encoding=header.encoding, comments=header.comments, extra=extra, notes=notes)
     return cloud_from_columns(columns, source, path)
 
 
-def _check_body(elements: Sequence[Element], encoding: str, body: bytes, path: Path, line: int) -> None:
-    """Finds out whether the rows of the elements that are carried along are all there."""
+def _check_body(elements: Sequence[Element], encoding: str, body: bytes, path: Path, line: int) -> int:
+    """Find out whether the rows of the elements that are carried along are all there, and in how many bytes."""
     if encoding == "ascii":
         rows = sum(1 for line in body.splitlines() if line.strip())
         expected = sum(element.count for element in elements)
         if rows != expected:
             raise InputError(f"{path}: {rows} rows follow the vertices instead of {expected}; correct the header")
-    elif not all(element.is_scalar for element in elements) and not _is_triangles(elements, encoding, body):
-        _parse(io.BytesIO(body), elements, encoding, path, line)
+        return len(body)
+    stream = io.BytesIO(body)
+    for element in elements:
+        row = _row_type(element, encoding)
+        table = np.frombuffer(body, row, element.count, stream.tell()) if _holds(body, element, row, stream) else None
+        if table is None or not (element.is_scalar or (table["length"] == 3).all()):
+            read_element(stream, element, encoding, path, line)
+        else:
+            stream.seek(table.nbytes, io.SEEK_CUR)
+        line += element.count
+    return stream.tell()
 
 
-def _is_triangles(elements: Sequence[Element], encoding: str, body: bytes) -> bool:
-    """Whether the elements are one list of three numbers per row: nearly every mesh, and quick to tell."""
-    if len(elements) != 1 or len(elements[0].properties) != 1:
-        return False
-    order, prop = BYTE_ORDERS[encoding], elements[0].properties[0]
-    row = np.dtype([("length", f"{order}{prop.length_type}"), ("values", f"{order}{prop.type}", (3,))])
-    if len(body) != elements[0].count * row.itemsize:
-        return False
-    return bool((np.frombuffer(body, row)["length"] == 3).all())
+def _row_type(element: Element, encoding: str) -> np.dtype[Any] | None:
+    """The type of rows of one length: numbers alone, or one list of three, as in nearly every mesh."""
+    if element.is_scalar:
+        return element.dtype(encoding)
+    if len(element.properties) > 1:
+        return None
+    order, (prop,) = BYTE_ORDERS[encoding], element.properties
+    return np.dtype([("length", f"{order}{prop.length_type}"), ("values", f"{order}{prop.type}", (3,))])
+
+
+def _holds(body: bytes, element: Element, row: np.dtype[Any] | None, stream: io.BytesIO) -> bool:
+    return row is not None and row.itemsize > 0 and stream.tell() + element.count * row.itemsize <= len(body)
 
 
 def _parse(stream: BinaryIO, elements: Sequence[Element], encoding: str, path: Path, line: int) -> dict[str, Columns]:

@@ -262,3 +262,20 @@ def test_plyfile_reads_what_is_written_from_memory(tmp_path):
     vertex = plyfile.PlyData.read(io.BytesIO((tmp_path / "a.ply").read_bytes()))["vertex"]
     names = ["x", "y", "z", "flag", "stamp", "two_0", "two_1"]
     assert [prop.name for prop in vertex.properties] == names
+
+
+@pytest.mark.parametrize("faces", [(), ((0, 1, 2), (2, 1, 0)), ((0, 1), (0, 1, 2, 1))])
+def test_bytes_behind_the_last_element_are_left_out_and_told(tmp_path, faces):
+    """They became the last lines of a file that was then written as text."""
+    element = f"element face {len(faces)}\nproperty list uchar int vertex_indices\n" if faces else ""
+    rows = b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in faces)
+    header = BINARY.format(3).replace("end_header", f"{element}end_header")
+    (tmp_path / "a.ply").write_bytes(header.encode() + np.arange(9, dtype="<f4").tobytes() + rows + b"\0\xffjunk")
+    cloud = read(tmp_path / "a.ply")
+    assert cloud.source.notes == ("6 bytes behind the last element are left out",)
+    write(cloud, tmp_path / "b.ply", encoding="ascii")
+    again = read(tmp_path / "b.ply")
+    assert again.points.tolist() == np.arange(9).reshape(3, 3).tolist()
+    assert again.source.extra.body.split(b"\n")[:-1] == [
+        b" ".join(str(number).encode() for number in (len(face), *face)) for face in faces
+    ]
