@@ -39,15 +39,26 @@ class MeshSampler:
     are wound inwards is turned around; an open one is taken as it is.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
-        """Computes areas and corner normals once; the mesh must have a face with an area."""
+    def __init__(self, mesh: Mesh, corner_normals: NDArray[np.float64] | None = None) -> None:
+        """Compute areas and corner normals once.
+
+        Args:
+            mesh: with a face that has an area.
+            corner_normals: (F, 3, 3) unit normals at the faces' corners, where they are known. A face whose corners
+                have the normal zero has none: that of its points is zero.
+        """
         corners, doubled = mesh.vertices[mesh.faces], 2 * mesh.area_vectors()
         areas = np.linalg.norm(doubled, axis=1) / 2
         self._cumulative_area = np.cumsum(areas)
-        inward = _encloses_negative_volume(corners, doubled)
         self.mesh = mesh
-        self.face_normals = _unit(-doubled if inward else doubled)
-        self._corner_normals = _corner_normals(mesh.faces, corners, self.face_normals)
+        if corner_normals is None:
+            inward = _encloses_negative_volume(corners, doubled)
+            self.face_normals = _unit(-doubled if inward else doubled)
+            self._corner_normals = _corner_normals(mesh.faces, corners, self.face_normals)
+        else:
+            side = np.sign((doubled * corner_normals.sum(1)).sum(1, keepdims=True))
+            self.face_normals = _unit(side * doubled)
+            self._corner_normals = corner_normals
 
     @property
     def area(self) -> float:

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from jetnormal.data.corruption import Surface, scan
 from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
 from jetnormal.data.scanners.draw import random_scan
+from jetnormal.data.scanners.scenes import SceneTarget
 from jetnormal.data.scanners.targets import MeshTarget, SolidTarget, Target
+from jetnormal.data.scenes.draw import random_scene
 from jetnormal.data.solids.recipes import random_solid
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import MESH_SUFFIXES
@@ -28,7 +30,8 @@ TRAINING_LIST = "trainingset_whitenoise.txt"
 VALIDATION_LIST = "validationset_whitenoise.txt"
 CLOUDS_PER_EPOCH = 24
 POINTS_PER_CLOUD = 100_000
-SCANNED_SOLIDS_SHARE = 0.25  # of the clouds scanned where there are meshes, too
+SCANNED_SHARES = {"mesh": 0.5, "solid": 0.2, "scene": 0.3}  # of the clouds that are scanned
+CLOUDS_PER_SCENE = 16  # in a sequence of so many clouds those of scenes are of one scene, which takes a while to build
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,7 @@ class SyntheticSolids:
 
 
 class ScannedSurfaces:
-    """Clouds scanned anew in each epoch by virtual scanners: of meshes, each equally often, and of solids."""
+    """Clouds scanned anew in each epoch by virtual scanners: of meshes, each equally often, solids and scenes."""
 
     def __init__(
         self,
@@ -163,7 +166,7 @@ class ScannedSurfaces:
         """Find the meshes; the 64 used last are kept in memory.
 
         Args:
-            directories: Folders of meshes. Without any all clouds are of solids.
+            directories: Folders of meshes. Without any all clouds are of procedural solids and scenes.
             clouds_per_epoch: Clouds drawn in an epoch.
             points: Largest number of points of a cloud.
 
@@ -176,7 +179,8 @@ class ScannedSurfaces:
         self.paths = [path for directory in directories for path in meshes_in(Path(directory))]
         self.clouds_per_epoch = clouds_per_epoch
         self._points = points
-        self._target = lru_cache(maxsize=64)(_load_target)
+        self._mesh_target = lru_cache(maxsize=64)(_load_target)
+        self._scene_target = lru_cache(maxsize=2)(_random_scene_target)
 
     def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
         """See `DataSource.cloud`.
@@ -186,15 +190,24 @@ class ScannedSurfaces:
             ResourceError: Open3D, which casts the rays, cannot be loaded.
         """
         rng = np.random.default_rng([seed, epoch, index])
-        if not self.paths or rng.random() < SCANNED_SOLIDS_SHARE:
-            name, target = "solid", _random_solid_target(rng)
-        else:
-            path = _toured(self.paths, epoch * self.clouds_per_epoch + index, seed)
-            name, target = path.stem, self._target(path)
+        name, target = self._drawn(epoch * self.clouds_per_epoch + index, seed, rng)
         scan = random_scan(target, self._points, rng)
         return LabeledCloud(
             f"{name}_{scan.kind}", scan.points, scan.normals, sensors=scan.sensors, labeled=scan.labeled
         )
+
+    def _drawn(self, position: int, seed: int, rng: np.random.Generator) -> tuple[str, Target]:
+        """Name and surface of the cloud at a position in the sequence of all clouds."""
+        kinds = [kind for kind in SCANNED_SHARES if kind != "mesh" or self.paths]
+        shares = np.array([SCANNED_SHARES[kind] for kind in kinds])
+        kind = kinds[rng.choice(len(kinds), p=shares / shares.sum())]
+        if kind == "mesh":
+            path = _toured(self.paths, position, seed)
+            return path.stem, self._mesh_target(path)
+        if kind == "solid":
+            return "solid", SolidTarget(random_solid(rng))
+        target = self._scene_target(seed, position // CLOUDS_PER_SCENE)
+        return target.kind, target
 
 
 class Mixture:
@@ -320,8 +333,8 @@ def _toured(paths: Sequence[Path], position: int, seed: int) -> Path:
     return paths[np.random.default_rng([seed, tour]).permutation(len(paths))[stop]]
 
 
-def _random_solid_target(rng: np.random.Generator) -> Target:
-    return SolidTarget(random_solid(rng))
+def _random_scene_target(seed: int, number: int) -> SceneTarget:
+    return SceneTarget(random_scene(np.random.default_rng([seed, number, 1])))
 
 
 def _load_target(path: Path) -> Target:

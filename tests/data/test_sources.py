@@ -231,7 +231,7 @@ def test_scanned_surfaces_are_a_pure_function(tmp_path):
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     np.savez(tmp_path / "wedge.npz", vertices=vertices, faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
     source = ScannedSurfaces([tmp_path], clouds_per_epoch=3, points=2000)
-    assert {source.cloud(0, index, 1).name.split("_")[0] for index in range(20)} == {"wedge", "solid"}
+    assert {source.cloud(0, index, 1).name.split("_")[0] for index in range(20)} > {"wedge", "solid"}
     cloud = source.cloud(2, 1, seed=5)
     again = ScannedSurfaces([tmp_path], clouds_per_epoch=3, points=2000).cloud(2, 1, seed=5)
     np.testing.assert_array_equal(cloud.points, again.points)

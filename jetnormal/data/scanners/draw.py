@@ -9,6 +9,9 @@ Six families, whose parameters are drawn over the wide ranges that such devices 
     fused           many views of the first two kinds, each with an error of its registration
     photogrammetry  density by texture, smooth errors of the surface, missing regions
 
+Scenes are scanned from inside by stations, depth cameras, spinning lidars, a profile scanner on a vehicle ("mobile"),
+strips of an airborne scanner ("airborne") and photogrammetry.
+
 Any cloud may besides have outliers, rounded coordinates, near-duplicates, or have been thinned.
 """
 
@@ -21,6 +24,7 @@ import numpy as np
 from jetnormal.data.scanners.handling import handled
 from jetnormal.data.scanners.objects import OBJECT_SCANNERS
 from jetnormal.data.scanners.scan import Scan
+from jetnormal.data.scanners.scenes import SceneTarget, scan_scene
 from jetnormal.data.scanners.targets import Target
 
 FAMILIES = {"stripe": 0.2, "depth": 0.2, "lidar": 0.2, "station": 0.12, "fused": 0.16, "photogrammetry": 0.12}
@@ -36,15 +40,18 @@ def random_scan(target: Target, largest: int, rng: np.random.Generator, kind: st
         target: the surface.
         largest: largest number of points; at least about an eighth as many are aimed at, several densities.
         rng: source of randomness.
-        kind: a key of `FAMILIES`; None draws one by its share there.
+        kind: a key of `FAMILIES`, or of `SCENE_SCANNERS` for a scene; None draws one by its share there.
 
     Raises:
-        ValueError: the surface cannot be seen from outside.
+        ValueError: nothing of the surface can be seen.
     """
     for _ in range(TRIES):
-        chosen = kind or str(rng.choice(list(FAMILIES), p=list(FAMILIES.values())))
         count = max(1, round(largest * SMALLEST ** rng.random()))
-        scan = OBJECT_SCANNERS[chosen](target, count, rng)
+        if isinstance(target, SceneTarget):
+            scan = scan_scene(target, count, rng, kind)
+        else:
+            chosen = kind or str(rng.choice(list(FAMILIES), p=list(FAMILIES.values())))
+            scan = OBJECT_SCANNERS[chosen](target, count, rng)
         if len(scan) >= min(LEAST_POINTS, count / 4):
             scan = handled(scan, rng)
             scan = scan if len(scan) <= largest else scan.take(np.sort(rng.choice(len(scan), largest, replace=False)))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.data.scanners.devices import camera_errors, lidar_errors, station_errors, stripe_errors
 from jetnormal.data.scanners.range_errors import RandomField, RangeErrors
 from jetnormal.data.scanners.rasters import Pinhole, Sampling, Spherical, Sweep, read_raster, window_of
 from jetnormal.data.scanners.scan import Scan, axes_along, log_uniform, merged, registration_errors, unit
@@ -21,31 +22,11 @@ def _stripe(target: Target, count: int, rng: np.random.Generator, errors: RangeE
     raster = Sweep(eye, axes) if rng.random() < 0.6 else Pinhole(eye, axes)
     sampling = Sampling(count, log_uniform(rng, 0.4, 10.0), rng.uniform(0, 0.1), rng.uniform(0, 0.3) ** 2)
     scan = read_raster("stripe", target, raster, window_of(target, raster, _closeness(rng), rng), sampling,
-                 errors or _stripe_errors(rng, distance), rng)  # fmt: skip
+                 errors or stripe_errors(rng, distance, log_uniform(rng, 5e-5, 5e-3)), rng)  # fmt: skip
     # What the camera does not see, the laser lights in vain.
     baseline = distance * rng.uniform(0.1, 0.6) * rng.choice([-1, 1])
     across = axes[rng.integers(2)]  # beside the stripe or along the sweep
     return scan.take(_seen(target, scan, scan.sensors + baseline * across))
-
-
-def _stripe_errors(rng: np.random.Generator, distance: float) -> RangeErrors:
-    """Speckle: errors smooth along the line; steps of the camera's pixels."""
-    sigma = log_uniform(rng, 5e-5, 5e-3)
-    return RangeErrors(
-        distance,
-        white=sigma * rng.uniform(0, 1),
-        waves=sigma * log_uniform(rng, 0.3, 2.0),
-        wave_rows=rng.choice([0.0, rng.uniform(0.3, 2.0)]),
-        wave_columns=log_uniform(rng, 0.5, 20.0),
-        line=sigma * rng.choice([0.0, log_uniform(rng, 0.05, 0.7)]),
-        range_power=2.0,
-        grazing_power=rng.uniform(0, 1),
-        step=rng.choice([0.0, sigma * log_uniform(rng, 0.3, 4.0)], p=[0.4, 0.6]),
-        disparity=bool(rng.random() < 0.5),
-        mixed=rng.choice([0.0, rng.uniform(0, 0.5)]),
-        grazing=rng.uniform(0.02, 0.4),
-        lost=rng.uniform(0, 0.2) ** 2,
-    )
 
 
 def _depth(target: Target, count: int, rng: np.random.Generator, errors: RangeErrors | None = None) -> Scan:
@@ -54,47 +35,8 @@ def _depth(target: Target, count: int, rng: np.random.Generator, errors: RangeEr
     raster = Pinhole(*pose(rng, distance))
     sampling = Sampling(count, rng.uniform(0.8, 1.25))
     window = window_of(target, raster, _closeness(rng), rng)
-    chosen = errors or (_light_errors if rng.random() < 0.6 else _flight_errors)(rng, distance)
+    chosen = errors or camera_errors(rng, distance, log_uniform(rng, 2e-4, 1e-2))
     return read_raster("depth", target, raster, window, sampling, chosen, rng)
-
-
-def _light_errors(rng: np.random.Generator, distance: float) -> RangeErrors:
-    """Structured light or stereo: errors that grow with the square of depth, smooth over the matching window."""
-    sigma = log_uniform(rng, 2e-4, 1e-2)
-    width = log_uniform(rng, 0.6, 8.0)
-    return RangeErrors(
-        distance,
-        white=sigma * rng.uniform(0, 0.7),
-        waves=sigma * rng.uniform(0.2, 1.2),
-        wave_rows=width,
-        wave_columns=width,
-        range_power=2.0,
-        grazing_power=rng.uniform(0, 1),
-        step=rng.choice([0.0, sigma * log_uniform(rng, 0.5, 5.0)], p=[0.3, 0.7]),
-        disparity=True,
-        mixed=rng.uniform(0, 0.7),
-        grazing=rng.uniform(0.05, 0.35),
-        lost=rng.uniform(0, 0.3) ** 2,
-    )
-
-
-def _flight_errors(rng: np.random.Generator, distance: float) -> RangeErrors:
-    """Time of flight: independent errors by the strength of the return, wide waves of multiple paths."""
-    sigma = log_uniform(rng, 2e-4, 1e-2)
-    width = log_uniform(rng, 4.0, 60.0)
-    return RangeErrors(
-        distance,
-        white=sigma,
-        waves=sigma * log_uniform(rng, 0.05, 1.0),
-        wave_rows=width,
-        wave_columns=width,
-        range_power=rng.uniform(1, 2),
-        grazing_power=rng.uniform(0.3, 1.0),
-        step=sigma * rng.choice([0.0, log_uniform(rng, 0.05, 1.0)]),
-        mixed=rng.uniform(0.2, 0.9),
-        grazing=rng.uniform(0.02, 0.25),
-        lost=rng.uniform(0, 0.2) ** 2,
-    )
 
 
 def _lidar(target: Target, count: int, rng: np.random.Generator) -> Scan:
@@ -107,7 +49,7 @@ def _lidar(target: Target, count: int, rng: np.random.Generator) -> Scan:
     sampling = Sampling(
         max(1, count // places), log_uniform(rng, 1.5, 25.0), rng.uniform(0, 0.15), rng.uniform(0, 0.5) ** 2
     )
-    errors, registration = _lidar_errors(rng, far), registration_errors(rng)
+    errors, registration = lidar_errors(rng, far, log_uniform(rng, 5e-5, 6e-3)), registration_errors(rng, 1e-5, 6e-3)
     views = []
     for place in range(places):
         distance = far * rng.uniform(0.8, 1.25)
@@ -117,43 +59,17 @@ def _lidar(target: Target, count: int, rng: np.random.Generator) -> Scan:
     return merged(views)
 
 
-def _lidar_errors(rng: np.random.Generator, distance: float) -> RangeErrors:
-    """Independent errors, a bias of each beam, and centimeters as steps."""
-    sigma = log_uniform(rng, 5e-5, 6e-3)
-    return RangeErrors(
-        distance,
-        white=sigma,
-        waves=sigma * rng.choice([0.0, rng.uniform(0, 1)]),
-        wave_columns=log_uniform(rng, 1.0, 30.0),
-        line=sigma * rng.choice([0.0, rng.uniform(0, 1)]),
-        range_power=rng.uniform(0, 1),
-        grazing_power=rng.uniform(0, 1),
-        step=sigma * rng.choice([0.0, log_uniform(rng, 0.1, 3.0)]),
-        mixed=rng.uniform(0, 0.5),
-        grazing=rng.uniform(0.01, 0.15),
-        lost=rng.uniform(0, 0.3) ** 2,
-    )
-
-
 def _station(target: Target, count: int, rng: np.random.Generator) -> Scan:
     """Terrestrial scanners around the target, near and far."""
     places = int(rng.integers(1, 6))
     up = unit(rng.normal(size=3))
     angles = rng.uniform(0, 2 * np.pi) + np.arange(places) * 2 * np.pi / places + rng.normal(scale=0.4, size=places)
-    sigma, registration = log_uniform(rng, 2e-5, 3e-3), registration_errors(rng)
+    sigma, registration = log_uniform(rng, 2e-5, 3e-3), registration_errors(rng, 1e-5, 6e-3)
     sampling = Sampling(max(1, count // places), log_uniform(rng, 0.5, 2.0), rng.uniform(0, 0.2))
     views = []
     for angle in angles:
         distance = log_uniform(rng, 0.56, 4.0)
-        errors = RangeErrors(
-            1.0,
-            white=sigma,
-            range_power=rng.uniform(0, 1),
-            grazing_power=rng.uniform(0, 1),
-            mixed=rng.uniform(0, 0.8),
-            grazing=rng.uniform(0.01, 0.2),
-            lost=rng.uniform(0, 0.2) ** 2,
-        )
+        errors = station_errors(rng, 1.0, sigma)
         raster = Spherical(*_upright(up, angle, distance, rng.uniform(-0.3, 0.5), 0.0, rng))
         view = read_raster("station", target, raster, window_of(target, raster, 1.0, rng), sampling, errors, rng)
         views.append(registration(view, rng))
@@ -163,18 +79,20 @@ def _station(target: Target, count: int, rng: np.random.Generator) -> Scan:
 def _fused(target: Target, count: int, rng: np.random.Generator) -> Scan:
     """Views of one device from all sides, put together with errors of the registration."""
     places = round(log_uniform(rng, 3, 25))
-    single = _stripe if rng.random() < 0.6 else _depth
-    errors = {_stripe: _stripe_errors, _depth: _light_errors if rng.random() < 0.6 else _flight_errors}[single](
-        rng, 1.5
-    )
-    registration = registration_errors(rng)
-    views = [registration(single(target, max(1, count // places), rng, errors), rng) for _ in range(places)]
+    single, errors = (_stripe, stripe_errors) if rng.random() < 0.6 else (_depth, camera_errors)
+    device = errors(rng, 1.5, log_uniform(rng, 5e-5, 6e-3))
+    registration = registration_errors(rng, 1e-5, 6e-3)
+    views = [registration(single(target, max(1, count // places), rng, device), rng) for _ in range(places)]
     return replace(merged(views), kind="fused")
 
 
 def _photogrammetry(target: Target, count: int, rng: np.random.Generator) -> Scan:
-    """Points that cameras see in pairs: dense on texture, with the bumps that smoothing leaves."""
-    eyes = log_uniform(rng, 0.8, 3.0) * _directions(int(rng.integers(4, 40)), rng)
+    """Photographs from around the target."""
+    return photographed(target, log_uniform(rng, 0.8, 3.0) * _directions(int(rng.integers(4, 40)), rng), count, rng)
+
+
+def photographed(target: Target, eyes: Floats, count: int, rng: np.random.Generator) -> Scan:
+    """Points that cameras at `eyes`, (K, 3), see in pairs: dense on texture, with the bumps that smoothing leaves."""
     steepest, contrast, bare = rng.uniform(0.05, 0.4), rng.uniform(0, 2), rng.uniform(-3, -1)
     texture = RandomField(log_uniform(rng, 0.05, 0.6), rng)
     parts: list[Scan] = []

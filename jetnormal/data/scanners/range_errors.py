@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-LEAST_JUMP = 0.005  # between the depths of two surfaces, in sizes of the target
 
 
 class Readings(NamedTuple):
@@ -45,6 +44,8 @@ class RangeErrors:
         mixed: share of the pixels at a jump of depth that lie between the two surfaces.
         grazing: cosine of the incidence at which half of the returns are lost.
         lost: share of the returns that is lost anywhere.
+        jump: least step between the depths of two surfaces.
+        reach: what is farther away does not return.
     """
 
     reference: float
@@ -60,6 +61,8 @@ class RangeErrors:
     mixed: float = 0.0
     grazing: float = 0.05
     lost: float = 0.0
+    jump: float = 0.005
+    reach: float = np.inf
 
     def read(self, distance: Floats, cosine: Floats, gaps: tuple[Floats, Floats], rng: np.random.Generator) -> Readings:
         """Measure true distances.
@@ -76,7 +79,7 @@ class RangeErrors:
         mixed, between = self._mixed_pixels(true, hit, cosine, gaps, rng)
         growth = (true / self.reference) ** self.range_power / np.maximum(cosine, 0.1) ** self.grazing_power
         measured = self._rounded(between + growth * self._unit_errors(true.shape, rng))
-        returned &= measured > 0
+        returned &= (measured > 0) & (true < self.reach)
         return Readings(measured, returned, returned & ~mixed)
 
     def _strong(self, cosine: Floats, rng: np.random.Generator) -> Flags:
@@ -93,13 +96,13 @@ class RangeErrors:
         mixed, between = np.zeros(true.shape, dtype=bool), true.copy()
         if self.mixed == 0:
             return mixed, between
-        slope = np.sqrt(1 - cosine**2) / np.maximum(cosine, 0.05)
+        slope = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 0.05)
         narrow = np.minimum(gaps[1].mean() / max(float(gaps[0].mean()), 1e-12), 1.0)
         for axis, shift, share in ((0, 1, narrow), (0, -1, narrow), (1, 1, 1.0), (1, -1, 1.0)):
             other, present = np.roll(true, shift, axis), np.roll(hit, shift, axis)
             np.moveaxis(present, axis, 0)[0 if shift > 0 else -1] = False  # which has come around from the other end
             # One surface, seen at this angle, changes by the gap times the slope from ray to ray.
-            jump = np.abs(other - true) > LEAST_JUMP + 3 * gaps[axis] * np.maximum(slope, np.roll(slope, shift, axis))
+            jump = np.abs(other - true) > self.jump + 3 * gaps[axis] * np.maximum(slope, np.roll(slope, shift, axis))
             edge = hit & present & jump & ~mixed & (rng.random(true.shape) < self.mixed * share)
             between = np.where(edge, true + rng.random(true.shape) * (other - true), between)
             mixed |= edge

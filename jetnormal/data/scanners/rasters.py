@@ -86,6 +86,30 @@ class Sweep:
 
 
 @dataclass(frozen=True)
+class Profile:
+    """A fan of rays that turns in a plane across the axis "up", along which the sensor moves; v is the way it went.
+
+    The columns u are lengths of arc at the distance `reach`, from forward to the right; "lean" tilts the plane forward.
+    """
+
+    eye: Floats
+    axes: Floats
+    reach: float
+    lean: float = 0.0
+
+    def rays(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+        """See `Raster.rays`."""
+        angle = u / self.reach
+        directions = unit(np.stack([np.sin(angle), np.full_like(u, self.lean), np.cos(angle)], axis=1) @ self.axes)
+        return self.eye + v[:, None] * self.axes[1], directions
+
+    def coordinates(self, points: Floats) -> Floats:
+        """See `Raster.coordinates`."""
+        x, y, z = ((points - self.eye) @ self.axes.T).T
+        return np.stack([self.reach * np.arctan2(x, z), y - self.lean * np.hypot(x, z)], axis=1)
+
+
+@dataclass(frozen=True)
 class Window:
     """The part of a raster that is scanned: (u, v) of its corners."""
 
@@ -136,13 +160,16 @@ def read_raster(
     grid_v = grid_v + sampling.shake * pitch[1] / max(1.0, sampling.spacing) * rng.standard_normal(shape)
     origins, directions = raster.rays(grid_u.reshape(-1), grid_v.reshape(-1))
     hits = target.cast(origins, directions)
-    cosine = np.abs((hits.normals * directions).sum(1))
+    bare = np.all(hits.normals == 0, axis=1)  # leaves, which have no normal to speak of
+    normals = np.where(bare[:, None], -directions, hits.normals)
+    cosine = np.abs((normals * directions).sum(1))
     distance = hits.distance.reshape(shape)
     gaps = _gaps(origins.reshape(*shape, 3), directions.reshape(*shape, 3), distance)
     readings = errors.read(distance, cosine.reshape(shape), gaps, rng)
     kept = np.flatnonzero(readings.returned)
     points = origins[kept] + readings.distance.reshape(-1, 1)[kept] * directions[kept]
-    return Scan(kind, points, hits.normals[kept], origins[kept], readings.labeled.reshape(-1)[kept])
+    labeled = readings.labeled.reshape(-1) & ~bare
+    return Scan(kind, points, normals[kept], origins[kept], labeled[kept])
 
 
 def _gaps(origins: Floats, directions: Floats, distance: Floats) -> tuple[Floats, Floats]:

@@ -45,9 +45,11 @@ def merged(views: list[Scan]) -> Scan:
     return Scan(views[0].kind, **joined)
 
 
-def registration_errors(rng: np.random.Generator) -> Callable[[Scan, np.random.Generator], Scan]:
+def registration_errors(
+    rng: np.random.Generator, low: float, high: float
+) -> Callable[[Scan, np.random.Generator], Scan]:
     """Moves a view by an error of a size that the views of a cloud share; none in a quarter of the clouds."""
-    size = 0.0 if rng.random() < 0.25 else log_uniform(rng, 1e-5, 6e-3)
+    size = 0.0 if rng.random() < 0.25 else log_uniform(rng, low, high)
     return partial(_misplaced, size=size)
 
 

@@ -39,3 +39,10 @@ def grid_faces(rows: int, columns: int, *, rows_wrap: bool = False) -> NDArray[n
     above = ((row + 1) % rows * columns + column).ravel()
     across = ((row + 1) % rows * columns + (column + 1) % columns).ravel()
     return np.concatenate([np.stack([corner, beside, across], 1), np.stack([corner, across, above], 1)])
+
+
+def open_grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
+    """Triangles (F, 3) of a grid of vertices, row by row, that closes nowhere."""
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    across = corner + columns + 1
+    return np.concatenate([np.stack([corner, corner + 1, across], 1), np.stack([corner, across, corner + columns], 1)])

@@ -1,0 +1,1 @@
+"""Procedural scenes: rooms, streets and terrain as meshes with exact normals."""

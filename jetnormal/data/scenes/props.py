@@ -1,0 +1,401 @@
+"""Things that stand in scenes. Each is a piece of surface that stands on the origin, in meters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jetnormal.data.scenes.surfaces import (
+    Floats,
+    Piece,
+    box,
+    frustum,
+    joined,
+    lathe,
+    leaves,
+    rectangle,
+    standing_sheet,
+    star,
+    turned,
+    wall,
+)
+from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
+
+Rng = np.random.Generator
+
+
+def table(rng: Rng) -> Piece:
+    """A table with what lies on it."""
+    x, y, z = rng.uniform(0.5, 1.0) * rng.uniform(1, 2), rng.uniform(0.5, 1.0), rng.uniform(0.4, 1.0)
+    thick = rng.uniform(0.015, 0.06)
+    if rng.random() < 0.7:
+        top = box([x, y, thick], [0, 0, z - thick])
+        feet = [(sx * (x / 2 - 0.06), sy * (y / 2 - 0.06)) for sx in (-1, 1) for sy in (-1, 1)]
+    else:
+        top = frustum([0, 0, z - thick], [0, 0, z], y / 2)
+        feet = [(0.0, 0.0)]
+        x = y = y / np.sqrt(2)
+    things = [small(rng).placed([*(rng.uniform(-0.45, 0.45, 2) * [x, y]), z]) for _ in range(rng.integers(0, 9))]
+    return joined([top, *(_leg(rng, foot, z - thick) for foot in feet), *things])
+
+
+def _leg(rng: Rng, foot: tuple[float, float], height: float) -> Piece:
+    thick = rng.uniform(0.015, 0.05)
+    if rng.random() < 0.5:
+        return box([2 * thick, 2 * thick, height], [*foot, 0])
+    return frustum([*foot, 0], [*foot, height], thick * rng.uniform(0.5, 1), thick)
+
+
+def small(rng: Rng) -> Piece:
+    """A bottle, bowl, book, screen, ball or odd thing."""
+    kind = rng.integers(6)
+    if kind == 0:
+        return vase(rng, rng.uniform(0.1, 0.35))
+    if kind == 1:
+        return bowl(rng, rng.uniform(0.05, 0.15))
+    if kind == 2:
+        sizes = rng.uniform([0.1, 0.15, 0.01], [0.2, 0.3, 0.05], (rng.integers(1, 5), 3))
+        heights = np.concatenate([[0], np.cumsum(sizes[:-1, 2])])
+        books = (box(size).placed([0, 0, z], rng.normal(scale=0.2)) for size, z in zip(sizes, heights, strict=True))
+        return joined(books).placed([0, 0, 0], rng.uniform(0, 6))
+    if kind == 3:
+        x, z = rng.uniform(0.3, 0.8), rng.uniform(0.2, 0.45)
+        return joined([box([x, 0.03, z], [0, 0, 0.1]), box([0.05, 0.04, 0.12]), box([0.25, 0.18, 0.015])]).placed(
+            [0, 0, 0], rng.uniform(0, 6)
+        )
+    return blob(rng, rng.uniform(0.04, 0.15))
+
+
+def blob(rng: Rng, size: float) -> Piece:
+    """A superellipsoid or a bumpy sphere that lies on the ground."""
+    if rng.random() < 0.5:
+        axes = rng.uniform(0.5, 1.0, 3)
+        return star(Superellipsoid(axes, rng.uniform(2, 8)), [0, 0, size * axes[2]], size)
+    waves = rng.normal(size=(4, 3)) * rng.uniform(1.5, 5.0)
+    return star(BumpySphere(np.full(4, rng.uniform(0.02, 0.06)), waves, rng.uniform(0, 6, 4)), [0, 0, size], size)
+
+
+def ottoman(rng: Rng) -> Piece:
+    """A soft or odd thing on the floor."""
+    return blob(rng, rng.uniform(0.15, 0.5))
+
+
+def vase(rng: Rng, height: float) -> Piece:
+    """A turned vessel with a smooth profile."""
+    base, depth = height * rng.uniform(0.15, 0.4), rng.uniform(0.0, 0.4)
+    frequency, phase = rng.uniform(0.5, 2.0) * 2 * np.pi / height, rng.uniform(0, 6)
+
+    def profile(z: Floats) -> tuple[Floats, Floats]:
+        return base * (1 + depth * np.sin(frequency * z + phase)), base * depth * frequency * np.cos(
+            frequency * z + phase
+        )
+
+    top = float(profile(np.array(height))[0])
+    lid = frustum([0, 0, height * 0.95], [0, 0, height], top)
+    return joined([lathe(height, profile), lid])
+
+
+def bowl(rng: Rng, radius: float) -> Piece:
+    """An open vessel with a wall."""
+    thick = radius * rng.uniform(0.03, 0.1)
+    height = radius * rng.uniform(0.5, 2.0)
+    foot = radius * rng.uniform(0.5, 1.0)
+    return turned([0, foot, radius, radius - thick, foot - thick, 0], [0, 0, height, height, thick, thick])
+
+
+def chair(rng: Rng) -> Piece:
+    """A chair or a stool."""
+    seat, wide = rng.uniform(0.4, 0.5), rng.uniform(0.36, 0.5)
+    pieces = [box([wide, wide, 0.03], [0, 0, seat])]
+    pieces += [_leg(rng, (sx * (wide / 2 - 0.03), sy * (wide / 2 - 0.03)), seat) for sx in (-1, 1) for sy in (-1, 1)]
+    if rng.random() < 0.8:
+        high = rng.uniform(0.3, 0.6)
+        count = 1 if rng.random() < 0.5 else int(rng.integers(3, 7))
+        slat = wide / count * (0.5 if count > 1 else 1.0)
+        xs = (np.arange(count) + 0.5) * wide / count - wide / 2
+        pieces += [box([slat, 0.025, high], [x, wide / 2 - 0.02, seat + 0.03]) for x in xs]
+    return joined(pieces)
+
+
+def sofa(rng: Rng) -> Piece:
+    """Soft cushions on a frame, its back at y = 0."""
+    seats, deep, wide = int(rng.integers(1, 4)), rng.uniform(0.7, 0.95), rng.uniform(0.55, 0.7)
+    length = seats * wide
+    pieces = [box([length, deep, 0.25], [0, -deep / 2, 0.06])]
+    for number in range(seats):
+        x = (number + 0.5) * wide - length / 2
+        pieces.append(star(Superellipsoid([wide / 2, deep / 2, 0.1], 5.0), [x, -deep / 2, 0.38]))
+        pieces.append(star(Superellipsoid([wide / 2, 0.12, 0.28], 4.0), [x, -0.14, 0.65]))
+    for side in (-1, 1):
+        pieces.append(star(Superellipsoid([0.1, deep / 2, 0.2], 5.0), [side * (length / 2 + 0.08), -deep / 2, 0.42]))
+    return joined(pieces)
+
+
+def shelf(rng: Rng) -> Piece:
+    """Boards with books, its back at y = 0."""
+    wide, deep, boards = rng.uniform(0.6, 1.6), rng.uniform(0.2, 0.4), int(rng.integers(2, 6))
+    gap, thick = rng.uniform(0.28, 0.4), 0.02
+    height = boards * gap + thick
+    pieces = [box([thick, deep, height], [side * wide / 2, -deep / 2, 0]) for side in (-1, 1)]
+    if rng.random() < 0.6:
+        pieces.append(box([wide, 0.01, height], [0, -0.005, 0]))
+    for board in range(boards + 1):
+        z = board * gap
+        pieces.append(box([wide, deep, thick], [0, -deep / 2, z]))
+        x = -wide / 2 + 0.03
+        while board < boards and x < wide / 2 - 0.1:
+            if rng.random() < 0.75:
+                size = rng.uniform([0.015, 0.12, 0.15], [0.06, deep - 0.02, gap - 0.05])
+                pieces.append(box(size, [x + size[0] / 2, -deep + size[1] / 2 + rng.uniform(0, 0.03), z + thick]))
+                x += size[0]
+            else:
+                x += rng.uniform(0.05, 0.3)
+    return joined(pieces)
+
+
+def cabinet(rng: Rng) -> Piece:
+    """A cupboard with doors and knobs, its back at y = 0."""
+    wide, deep, height = rng.uniform(0.4, 1.8), rng.uniform(0.35, 0.65), rng.uniform(0.6, 2.2)
+    pieces = [box([wide, deep, height], [0, -deep / 2, 0])]
+    columns, rows = int(rng.integers(1, 4)), int(rng.integers(1, 5))
+    for i in range(columns):
+        for j in range(rows):
+            x, z = (i + 0.5) * wide / columns - wide / 2, j * height / rows
+            pieces.append(box([wide / columns - 0.02, 0.02, height / rows - 0.02], [x, -deep - 0.01, z + 0.01]))
+            pieces.append(star(Superellipsoid([0.015] * 3), [x, -deep - 0.035, z + height / rows / 2], rows=13))
+    return joined(pieces)
+
+
+def radiator(rng: Rng) -> Piece:
+    """Ribs of a radiator, or a corrugated one, its back at y = 0."""
+    wide, height = rng.uniform(0.5, 1.8), rng.uniform(0.4, 0.9)
+    if rng.random() < 0.5:
+        xs = np.arange(0.04, wide, rng.uniform(0.045, 0.08)) - wide / 2
+        ribs = [frustum([x, -0.08, 0.12], [x, -0.08, height], rng.uniform(0.012, 0.02)) for x in xs]
+        bars = [frustum([-wide / 2, -0.08, z], [wide / 2, -0.08, z], 0.02) for z in (0.12, height)]
+        return joined([*ribs, *bars])
+    return corrugated(wide, height - 0.1, rng.uniform(0.03, 0.08), rng.uniform(0.004, 0.02)).placed(
+        [-wide / 2, -0.08, 0.1]
+    )
+
+
+def curtain(rng: Rng) -> Piece:
+    """A curtain in folds, near y = 0."""
+    wide, height = rng.uniform(0.5, 1.5), rng.uniform(1.2, 2.3)
+    return corrugated(wide, height, rng.uniform(0.08, 0.2), rng.uniform(0.01, 0.05)).placed([-wide / 2, -0.1, 0.05])
+
+
+def corrugated(length: float, height: float, wavelength: float, amplitude: float) -> Piece:
+    """A standing sheet in waves along x."""
+    frequency = 2 * np.pi / wavelength
+
+    def offset(x: Floats) -> tuple[Floats, Floats]:
+        return amplitude * np.sin(frequency * x), amplitude * frequency * np.cos(frequency * x)
+
+    return standing_sheet(length, height, offset)
+
+
+def bed(rng: Rng) -> Piece:
+    """A bed, its head at y = 0."""
+    wide = rng.uniform(0.8, 1.8)
+    pieces = [box([wide, 2.0, 0.25], [0, -1.0, 0.1]), box([wide, 0.05, rng.uniform(0.6, 1.1)], [0, -0.025, 0])]
+    pieces.append(star(Superellipsoid([wide / 2, 0.98, 0.12], 6.0), [0, -1.0, 0.42]))
+    pieces += [
+        star(Superellipsoid([0.3, 0.2, 0.09], 2.8), [x, -0.25, 0.58]) for x in np.linspace(-wide / 4, wide / 4, 2)
+    ]
+    return joined(pieces)
+
+
+def tub(rng: Rng) -> Piece:
+    """A sink or bath: a block with a hollow, its back at y = 0."""
+    radius, height = rng.uniform(0.2, 0.5), rng.uniform(0.3, 0.9)
+    inner = star(Superellipsoid([radius, radius, rng.uniform(0.1, 0.28)], rng.uniform(2, 5)), [0, 0, height])
+    low = inner.vertices[inner.faces].max(1)[:, 2] <= height + 1e-9
+    hollow = Piece(inner.vertices, inner.normals, inner.faces[low])
+    outside = turned([radius * 0.7, radius * 1.12, radius * 1.12, radius], [0, height * 0.7, height, height])
+    return joined([hollow, outside]).placed([0, -1.2 * radius, 0])
+
+
+def lamp(rng: Rng) -> Piece:
+    """A standing lamp with an open shade."""
+    height, wide = rng.uniform(1.2, 1.8), rng.uniform(0.12, 0.25)
+    shade = turned([wide, wide * rng.uniform(0.4, 1)], [height - 0.25, height])
+    return joined([turned([0, 0.14, 0.14, 0], [0, 0, 0.02, 0.03]), frustum([0, 0, 0], [0, 0, height], 0.012), shade])
+
+
+def pot_plant(rng: Rng) -> Piece:
+    """A pot with leaves, which have no normals."""
+    size = rng.uniform(0.1, 0.3)
+    crown = leaves(int(rng.integers(30, 300)), rng.uniform(0.03, 0.1), [size * 1.5, size * 1.5, size * 2], rng)
+    return joined([bowl(rng, size), crown.placed([0, 0, 3 * size])])
+
+
+def steps(rng: Rng) -> Piece:
+    """A flight of stairs, its side at y = 0."""
+    count, wide = int(rng.integers(3, 14)), rng.uniform(0.8, 1.5)
+    deep, high = rng.uniform(0.24, 0.32), rng.uniform(0.15, 0.19)
+    stairs = [box([deep, wide, high * (number + 1)], [number * deep, -wide / 2, 0]) for number in range(count)]
+    run, rise = count * deep, count * high
+    rail = frustum([0, -wide, 0.9], [run, -wide, 0.9 + rise], 0.02)
+    posts = [
+        frustum([x * run, -wide, x * rise], [x * run, -wide, 0.9 + x * rise], 0.012) for x in np.linspace(0.02, 1, 8)
+    ]
+    return joined([*stairs, rail, *posts]).placed([-run / 2, 0, 0])
+
+
+def tank(rng: Rng) -> Piece:
+    """A standing tank with round ends, on legs."""
+    radius, height = rng.uniform(0.2, 0.8), rng.uniform(0.5, 2.0)
+    dome = Superellipsoid([radius, radius, radius * rng.uniform(0.3, 0.9)])
+    low = 0.3 + radius
+    legs = [frustum([radius * 0.8 * np.cos(a), radius * 0.8 * np.sin(a), 0], [radius * 0.8 * np.cos(a),
+            radius * 0.8 * np.sin(a), low], 0.03) for a in np.arange(3) * 2.1]  # fmt: skip
+    shell = lathe(height, lambda z: (np.full_like(z, radius), np.zeros_like(z))).placed([0, 0, low])
+    return joined([*legs, shell, star(dome, [0, 0, low]), star(dome, [0, 0, low + height])])
+
+
+def car(rng: Rng) -> Piece:
+    """A car along x."""
+    length, wide, high = rng.uniform(3.5, 5.2), rng.uniform(1.6, 2.0), rng.uniform(1.35, 2.2)
+    waist = rng.uniform(0.75, 1.0)
+    body = star(Superellipsoid([length / 2, wide / 2, (waist - 0.2) / 2], rng.uniform(4, 8)), [0, 0, (waist + 0.2) / 2])
+    cabin = star(
+        Superellipsoid([length * rng.uniform(0.22, 0.45), wide * 0.45, high - waist], rng.uniform(2.5, 6)),
+        [-length * rng.uniform(0, 0.1), 0, waist - 0.05],
+    )
+    radius = rng.uniform(0.28, 0.36)
+    wheels = [
+        frustum([x * length * 0.32, y * wide * 0.38, radius], [x * length * 0.32, y * wide * 0.5, radius], radius)
+        for x in (-1, 1)
+        for y in (-1, 1)
+    ]
+    return joined([body, cabin, *wheels])
+
+
+def pole(rng: Rng) -> Piece:
+    """A street light, traffic sign, mast or bollard."""
+    kind, height = rng.integers(3), rng.uniform(2.2, 9.0)
+    if kind == 0:
+        arm = rng.uniform(0.5, 2.0)
+        mast = frustum([0, 0, 0], [0, 0, height], rng.uniform(0.05, 0.12), 0.04)
+        return joined(
+            [mast, frustum([0, 0, height], [arm, 0, height + 0.2], 0.03), box([0.6, 0.2, 0.1], [arm, 0, height + 0.1])]
+        )
+    if kind == 1:
+        sign = box([0.6, 0.01, rng.uniform(0.4, 0.9)], [0, -0.04, 2.0])
+        plate = sign if rng.random() < 0.5 else frustum([0, -0.05, 2.3], [0, -0.04, 2.3], 0.3)
+        return joined([frustum([0, 0, 0], [0, 0, 2.7], 0.035), plate])
+    high = rng.uniform(0.5, 1.1)
+    return joined([frustum([0, 0, 0], [0, 0, high], 0.08), star(Superellipsoid([0.08] * 3), [0, 0, high], rows=17)])
+
+
+def tree(rng: Rng) -> Piece:
+    """A tree with branches; its crown is closed, made of leaves, which have no normals, or bare."""
+    height, radius = rng.uniform(3.0, 14.0), rng.uniform(0.08, 0.35)
+    lean = rng.normal(scale=0.06, size=2)
+    top = np.array([*(lean * height), height * rng.uniform(0.5, 0.8)])
+    pieces = [frustum([0, 0, 0], top, radius, radius * 0.4)]
+    for _ in range(rng.integers(3, 12)):
+        start = top * rng.uniform(0.4, 1.0)
+        end = start + height * rng.uniform(0.1, 0.3) * _unit(rng.normal(size=3) + np.array([0, 0, 0.6]))
+        pieces.append(frustum(start, end, radius * rng.uniform(0.15, 0.4), 0.01))
+    wide, kind = height * rng.uniform(0.15, 0.35), rng.random()
+    middle = [*top[:2], height - wide]
+    if kind < 0.35:
+        waves = rng.normal(size=(6, 3)) * rng.uniform(2, 6)
+        crown = BumpySphere(np.full(6, rng.uniform(0.01, 0.05)), waves, rng.uniform(0, 6, 6))
+        pieces.append(star(crown, middle, wide, rows=41))
+    elif kind < 0.8:
+        spread = [wide, wide, wide * rng.uniform(0.8, 1.8)]
+        pieces.append(leaves(int(rng.integers(300, 3000)), rng.uniform(0.08, 0.3), spread, rng).placed(middle))
+    return joined(pieces)
+
+
+def fence(rng: Rng) -> Piece:
+    """A low wall, hedge, or a fence of bars along x from 0."""
+    length, height = rng.uniform(2, 10), rng.uniform(0.6, 2.0)
+    kind = rng.random()
+    if kind < 0.3:
+        return box([length, rng.uniform(0.1, 0.4), height], [length / 2, 0, 0])
+    if kind < 0.5:
+        return star(Superellipsoid([length / 2, 0.4, height], 6.0), [length / 2, 0, 0])
+    bars = [frustum([x, 0, 0], [x, 0, height], 0.015) for x in np.arange(0, length, rng.uniform(0.1, 0.4))]
+    return joined([*bars, *(box([length, 0.03, 0.05], [length / 2, 0, z]) for z in (0.1, height - 0.1))])
+
+
+def person(rng: Rng) -> Piece:
+    """Someone who stands, roughly."""
+    high = rng.uniform(1.5, 1.9) / 1.75
+    parts = [
+        star(Superellipsoid([0.1, 0.11, 0.13]), [0, 0, 1.62], rows=25),
+        star(Superellipsoid([0.2, 0.13, 0.34], 2.6), [0, 0, 1.15], rows=25),
+    ]
+    parts += [frustum([x, rng.uniform(-0.2, 0.2), 0], [x * 0.8, 0, 0.9], 0.06, 0.09) for x in (-0.12, 0.12)]
+    parts += [frustum([x * 1.3, rng.uniform(-0.3, 0.3), 0.85], [x, 0, 1.4], 0.04, 0.05) for x in (-0.22, 0.22)]
+    whole = joined(parts)
+    return Piece(whole.vertices * high, whole.normals, whole.faces)
+
+
+def house(rng: Rng) -> Piece:
+    """A detached house with windows, a pitched or flat roof, and a chimney."""
+    x, y, z = rng.uniform(7, 16), rng.uniform(6, 12), rng.uniform(3, 9)
+    pieces = []
+    for length, corner, yaw in (
+        (x, (-x / 2, -y / 2), np.pi),
+        (y, (x / 2, -y / 2), -np.pi / 2),
+        (x, (x / 2, y / 2), 0.0),
+        (y, (-x / 2, y / 2), np.pi / 2),
+    ):
+        pieces.append(facade(rng, length, z).placed([-length, 0, 0]).placed([*corner, 0], yaw))
+    rise, over = rng.choice([0.0, rng.uniform(1.5, 5.0)]), rng.uniform(0.1, 0.7)
+    if rise:
+        slope = np.array([0, y / 2 + over, rise * (1 + 2 * over / y)])
+        for side in (-1, 1):
+            eave = np.array([-x / 2 - over, side * (y / 2 + over), z - 2 * rise * over / y])
+            pieces.append(rectangle(eave, [x + 2 * over, 0, 0], slope * [1, -side, 1]))
+        for end in (-x / 2, x / 2):
+            pieces.append(gable(end, y, z, float(rise)))
+        pieces.append(box([0.6, 0.6, rise + 0.8], [rng.uniform(-x / 3, x / 3), rng.uniform(-y / 4, y / 4), z]))
+    else:
+        pieces.append(box([x + 0.2, y + 0.2, 0.3], [0, 0, z]))
+    return joined(pieces)
+
+
+def gable(x: float, y: float, z: float, rise: float) -> Piece:
+    """The triangle between a wall across x and the roof."""
+    vertices = np.array([[x, -y / 2, z], [x, y / 2, z], [x, 0, z + rise]])
+    return Piece(vertices, np.broadcast_to([1.0 if x > 0 else -1.0, 0, 0], (3, 3)), np.array([[0, 1, 2]]))
+
+
+def facade(rng: Rng, length: float, height: float) -> Piece:
+    """A wall with rows of windows set back in it, from x = 0; its outer side looks along y, at y = 0.3."""
+    step, floor = rng.uniform(1.5, 3.5), rng.uniform(2.6, 3.6)
+    wide, high, sill = step * rng.uniform(0.3, 0.6), rng.uniform(1.0, 1.7), rng.uniform(0.5, 1.0)
+    openings = []
+    for x in np.arange(step / 2, length - step / 2, step):
+        for z in np.arange(0, height - sill - high - 0.1, floor):
+            low = 0.05 if z == 0 and rng.random() < 0.15 else z + sill
+            openings.append((x - wide / 2, x + wide / 2, low, z + sill + high))
+    depth = rng.uniform(0.02, 0.25)
+    pieces = [wall(length, height, 0.3, openings)]
+    for a, b, c, d in openings:
+        pieces.append(rectangle([b, 0.3 - depth, c], [a - b, 0, 0], [0, 0, d - c]))
+        if rng.random() < 0.3:
+            pieces.append(box([b - a + 0.2, 0.1, 0.05], [(a + b) / 2, 0.35, c - 0.06]))
+    if rng.random() < 0.4:  # balconies
+        for a, b, c, _ in openings[1 :: int(rng.integers(2, 5))]:
+            pieces.append(box([b - a + 0.6, 1.0, 0.15], [(a + b) / 2, 0.8, c - 0.2]))
+            pieces.append(box([b - a + 0.6, 0.03, 0.9], [(a + b) / 2, 1.28, c - 0.05]))
+    if rng.random() < 0.4:
+        pieces.append(frustum([length - 0.2, 0.36, 0], [length - 0.2, 0.36, height], 0.05))
+    return joined(pieces)
+
+
+def _unit(vector: ArrayLike) -> Floats:
+    return np.asarray(vector) / np.linalg.norm(vector)
+
+
+FURNITURE: tuple[Callable[[Rng], Piece], ...] = (table, table, chair, chair, lamp, pot_plant, tank, ottoman, person)
+AGAINST_WALLS: tuple[Callable[[Rng], Piece], ...] = (sofa, shelf, cabinet, radiator, curtain, bed, tub, steps)
