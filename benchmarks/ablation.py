@@ -17,6 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jetnormal.training.loop import TrainOptions, train
+
 from jetnormal.data.sources import open_dataset
 from jetnormal.errors import JetnormalError
 from jetnormal.evaluation import ModelResult, evaluate
@@ -24,7 +26,6 @@ from jetnormal.formats.atomic import atomic_write
 from jetnormal.networks.patchfit.network import CONFIGS, PatchFitConfig
 from jetnormal.support.device import resolve_device
 from jetnormal.support.report import configure_logging, logger
-from jetnormal.training.loop import TrainOptions, train
 from jetnormal.training.losses import LossWeights, published_losses
 
 if sys.version_info >= (3, 11):

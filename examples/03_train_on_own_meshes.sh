@@ -12,6 +12,6 @@ mkdir -p "$folder"
 if [ ! -e "$folder/benchmark" ]; then
     jetnormal dataset --meshes "$held_out" --points 20000 --queries 1000 -o "$folder/benchmark"
 fi
-jetnormal train --model cloudfit --initial cloudfit --data "$meshes" --validation "$held_out" \
-    --epochs "$epochs" --learning-rate 5e-4 -o "$folder/run" "$@"
+jetnormal train --initial cloudfit --data "$meshes" --validation "$held_out" \
+    --epochs "$epochs" --set learning_rate=5e-4 -o "$folder/run" "$@"
 jetnormal evaluate --data "$folder/benchmark" --model cloudfit --model "$folder/run/model.safetensors"

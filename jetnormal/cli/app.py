@@ -32,7 +32,7 @@ app.command(cls=GroupedCommand)(estimate)
 app.command(cls=GroupedCommand)(reconstruct)
 app.command(cls=GroupedCommand)(preview)
 app.command()(evaluate)
-app.command()(train)
+app.command(cls=GroupedCommand)(train)
 app.command()(models)
 app.command()(dataset)
 
@@ -57,7 +57,7 @@ def describe(
       jetnormal reconstruct scan.ply -o mesh.ply
       jetnormal preview mesh.ply -o picture.png
       jetnormal evaluate --data pcpnet --model cloudfit --model pca:k=112
-      jetnormal train --data pcpnet -o run
+      jetnormal train --data meshes -o run
       jetnormal dataset --synthetic 8 -o benchmark
       jetnormal estimate --help
 

@@ -3,7 +3,11 @@
     @with_options
     def estimate(input: Path, output: Path, options: EstimateOptions, json: Json = False) -> None:
 
-has one option for each field of EstimateOptions; the function gets them back as one instance.
+has one option for each field of EstimateOptions; the function gets them back as one instance. With
+
+    changes: Annotated[dict[str, Any], Given(DataOptions)]
+
+it gets a dictionary of those that were given, without any defaults.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
@@ -21,6 +26,19 @@ from jetnormal.support.options import Field, Nested, Option, OptionSet, fields
 
 _Function = TypeVar("_Function", bound=Callable[..., None])
 _Set = TypeVar("_Set", bound=OptionSet)
+
+
+@dataclass(frozen=True)
+class Given:
+    """Annotates a parameter of a command that gets only the given options of a set.
+
+    Attributes:
+        kind: the option set.
+        default: how the help shows a default that is not said by the field.
+    """
+
+    kind: type[OptionSet]
+    default: str | None = None
 
 
 class GroupedCommand(TyperCommand):
@@ -45,21 +63,25 @@ class GroupedCommand(TyperCommand):
 
 
 def with_options(function: _Function) -> _Function:
-    """Replace each parameter that is annotated with an `OptionSet` by options for its fields."""
+    """Replace each parameter that is annotated with an `OptionSet`, or as `Given`, by options for its fields."""
     signature = inspect.signature(function, eval_str=True)
-    sets = {p.name: p.annotation for p in signature.parameters.values() if _is_set(p.annotation)}
+    sets = {name: p.annotation for name, p in signature.parameters.items() if _is_set(p.annotation)}
+    given = {name: note for name, p in signature.parameters.items() if (note := _given(p.annotation))}
     parameters: list[inspect.Parameter] = []
-    for parameter in signature.parameters.values():
-        if parameter.name in sets:
-            parameters += _parameters(sets[parameter.name])
+    for name, parameter in signature.parameters.items():
+        if name in sets:
+            parameters += _parameters(sets[name])
+        elif name in given:
+            parameters += _optional(given[name])
         else:
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
     @functools.wraps(function)
     def command(**values: Any) -> None:
-        gathered = {name: _gathered(kind, values) for name, kind in sets.items()}
-        rest = {name: value for name, value in values.items() if name in signature.parameters}
-        function(**rest, **gathered)
+        arguments = {name: value for name, value in values.items() if name in signature.parameters}
+        arguments |= {name: _gathered(kind, values) for name, kind in sets.items()}
+        arguments |= {name: _chosen(note.kind, values) for name, note in given.items()}
+        function(**arguments)
 
     made: Any = command
     made.__signature__ = signature.replace(parameters=parameters)
@@ -70,6 +92,11 @@ def with_options(function: _Function) -> _Function:
 
 def _is_set(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, OptionSet)
+
+
+def _given(annotation: Any) -> Given | None:
+    notes = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
+    return next((note for note in notes if isinstance(note, Given)), None)
 
 
 def _shown(kind: type, only: tuple[str, ...] | None = None) -> Iterator[Field]:
@@ -89,6 +116,15 @@ def _parameters(kind: type) -> Iterator[inspect.Parameter]:
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
         annotation: Any = Annotated[_typer_type(field), _typer_option(field)]
         yield inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _optional(given: Given) -> Iterator[inspect.Parameter]:
+    """The options of a set as parameters of a command, each None where it is not given."""
+    for field in _shown(given.kind):
+        assert isinstance(field.note, Option)
+        note = dataclasses.replace(field.note, default=field.note.default or given.default)
+        annotation: Any = Annotated[_typer_type(field) | None, _typer_option(dataclasses.replace(field, note=note))]
+        yield inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 
 
 def _typer_type(field: Field) -> Any:
@@ -145,3 +181,9 @@ def _gathered(kind: type[_Set], values: Mapping[str, Any], only: tuple[str, ...]
             value = values[field.name]
             chosen[field.name] = tuple(value or ()) if _repeats(field) else value
     return kind(**chosen)
+
+
+def _chosen(kind: type[OptionSet], values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a command line that were given."""
+    given = {field.name: values[field.name] for field in _shown(kind) if values[field.name] not in (None, [])}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}

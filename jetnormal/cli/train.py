@@ -2,238 +2,126 @@
 
 from __future__ import annotations
 
-import dataclasses
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from jetnormal.cli.derive import Given, with_options
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
 from jetnormal.support.report import logger, print_json
+from jetnormal.training.options import DataOptions, TrainOptions
 
-# What only patch networks, or only cloudfit, have; any other choice of model refuses them.
-PATCH_OPTIONS = (
-    "config", "neighbors", "transform", "no_correction", "offsets", "width", "transform_width", "patches_per_cloud",
-    "schedule", "lambda_z", "lambda_consistency", "lambda_sparsity", "lambda_regularisation", "lambda_offsets",
-    "bfloat16",
-)  # fmt: skip
-CLOUD_OPTIONS = ("crop_points", "crops_per_cloud")
+if TYPE_CHECKING:
+    from jetnormal.training.recipe import Recipe
 
-
-def parse_weights(text: str) -> list[float]:
-    """Turn "20,2,8" into numbers."""
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise typer.BadParameter(f"{text!r} is not W,W,...: one number per source") from None
+EXTENDABLE = ("epochs", "validate_every")  # of a run that is resumed
+MOVABLE = ("folders", "validation")  # where the same data lie now
 
 
+@with_options
 def train(
-    context: typer.Context,
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="DIR", help="PCPNet clouds or meshes (.ply .obj .off .stl .npz); repeat it to mix."),
-    ] = None,
-    synthetic: Annotated[bool, typer.Option("--synthetic", help="Train on procedural solids, too.")] = False,
-    weights: Annotated[
-        Any,
-        typer.Option(
-            parser=parse_weights,
-            metavar="W,W,...",
-            help="Shares of the sources: of each --data in turn, then of --synthetic.",
-            show_default="their clouds per epoch",
-        ),
-    ] = None,
-    list_file: Annotated[
+    data: Annotated[dict[str, Any], Given(DataOptions)],
+    recipe: Annotated[
         str | None,
         typer.Option(
-            "--list",
-            metavar="FILE",
-            help="List of the training clouds in a PCPNet folder.",
-            show_default="trainingset_whitenoise.txt, else all, with noise added",
+            "--recipe",
+            "-r",
+            metavar="NAME|FILE",
+            help="What to train, and how.",
+            show_default="cloudfit",
+            rich_help_panel="Training",
         ),
     ] = None,
-    validation: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Clouds or meshes to validate on.", show_default="from --data, else held out"),
-    ] = None,
-    validation_list: Annotated[
-        str | None,
+    *,
+    training: Annotated[dict[str, Any], Given(TrainOptions, default="the recipe's")],
+    settings: Annotated[
+        list[str] | None,
         typer.Option(
-            metavar="FILE", help="List of the validation clouds.", show_default="validationset_whitenoise.txt, else all"
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change another setting of the recipe; repeatable.",
+            rich_help_panel="Training",
         ),
     ] = None,
-    clouds_per_epoch: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Clouds drawn from a folder of meshes, and solids, in an epoch.")
-    ] = 24,
-    points_per_cloud: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Largest number of points drawn from a mesh or a solid.")
-    ] = 100_000,
-    model: Annotated[
-        Literal["deepfit", "adafit", "graphfit", "cloudfit"],
-        typer.Option(help="Weight predictor of a patch network, or the whole-cloud network."),
-    ] = "deepfit",
-    config: Annotated[
-        Literal["paper", "small"], typer.Option(help="Network to start from: as published, or for a CPU.")
-    ] = "paper",
-    neighbors: Annotated[
-        int | None, typer.Option(min=16, metavar="K", help="Points in a patch.", show_default="the configuration's")
-    ] = None,
-    order: Annotated[
-        int | None,
-        typer.Option(min=1, max=4, metavar="N", help="Order of the fitted jet.", show_default="the configuration's"),
-    ] = None,
-    transform: Annotated[
-        Literal["ztransform", "qstn"] | None,
-        typer.Option(help="The paper's z-direction transform, or DeepFit's.", show_default="the configuration's"),
-    ] = None,
-    no_correction: Annotated[
-        bool, typer.Option("--no-correction", help="Leave the normal error estimation out.")
+    show: Annotated[
+        bool,
+        typer.Option("--show", help="Print the recipe, every setting explained, and stop.", rich_help_panel="Training"),
     ] = False,
-    offsets: Annotated[
-        bool | None,
-        typer.Option("--offsets/--no-offsets", help="Move the points, too.", show_default="yes, but for deepfit"),
-    ] = None,
-    width: Annotated[
-        float | None,
-        typer.Option(min=0.0625, metavar="F", help="Factor on the channels.", show_default="the configuration's"),
-    ] = None,
-    transform_width: Annotated[
-        float | None,
-        typer.Option(min=0.0625, metavar="F", help="Factor on the transform's.", show_default="the configuration's"),
-    ] = None,
-    epochs: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Passes over the data.", show_default="700, or 30 for cloudfit")
-    ] = 700,
-    patches_per_cloud: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Patches of each cloud in an epoch.")
-    ] = 1000,
-    crop_points: Annotated[
-        int, typer.Option(min=64, metavar="N", help="Points of a crop; half of them are learned from (cloudfit).")
-    ] = 8000,
-    crops_per_cloud: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Crops of each cloud in an epoch (cloudfit).")
-    ] = 12,
-    batch_size: Annotated[
-        int,
-        typer.Option(
-            min=1, metavar="B", help="Patches or crops per step.", show_default="256, or 2 crops for cloudfit"
-        ),
-    ] = 256,
-    learning_rate: Annotated[
-        float,
-        typer.Option(min=0, metavar="R", help="Of Adam, at its highest.", show_default="0.001, or 0.002 for cloudfit"),
-    ] = 1e-3,
-    schedule: Annotated[
-        Literal["step", "cosine"], typer.Option(help="A tenth after 3/7 and 11/14 of the epochs, or a cosine to 0.")
-    ] = "step",
-    lambda_z: Annotated[
-        float | None,
-        typer.Option(min=0, metavar="F", help="Factor of the z-direction loss.", show_default="2, or 0 for qstn"),
-    ] = None,
-    lambda_consistency: Annotated[float, typer.Option(min=0, metavar="F", help="Of the neighbors' normals.")] = 0.25,
-    lambda_sparsity: Annotated[float, typer.Option(min=0, metavar="F", help="Of -log w, times the one before.")] = 0.2,
-    lambda_regularisation: Annotated[float, typer.Option(min=0, metavar="F", help="Of the feature transform.")] = 0.1,
-    lambda_offsets: Annotated[float, typer.Option(min=0, metavar="F", help="Of the squared offsets.")] = 0.1,
-    bfloat16: Annotated[bool, typer.Option("--bfloat16", help="Multiply matrices in bfloat16: faster.")] = False,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of data, order and initial weights.")] = 1,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="RUN", help="Folder of the run.")] = Path("run"),
-    initial: Annotated[
-        str,
-        typer.Option(metavar="NAME|FILE", help="Model to start from, as far as its weights fit.", show_default="none"),
-    ] = "",
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run.")] = False,
-    tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Also write TensorBoard events.")] = False,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="RUN", help="Folder of the run.", rich_help_panel="Run")
+    ] = Path("run"),
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Go on with the run in RUN; --epochs may extend it.", rich_help_panel="Run"),
+    ] = False,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Also write TensorBoard events into RUN.", rich_help_panel="Run")
+    ] = False,
     device: Device = "auto",
     threads: Threads = None,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Train a network; the defaults are the paper's, and for cloudfit those of the packaged weights.
+    """Train a network from clouds with known normals, from meshes, or from procedural solids.
 
-    RUN gets model.safetensors, which `jetnormal estimate --model` takes, metrics.csv, and what --resume needs.
-    A run is saved every 45 seconds; to go on with it, repeat its options with --resume.
+    A recipe is a TOML file, or the name of one that comes along: cloudfit; deepfit, adafit and graphfit, each as
+    -paper (with the paper's two additions), -baseline (without them) and -small (narrow, for a CPU).
+    --recipe NAME --show prints one, to start your own from.
+
+    RUN gets config.toml (the whole recipe), model.safetensors (for jetnormal estimate --model), metrics.csv and what
+    --resume needs. It is saved every 45 seconds, after each epoch and on Ctrl-C. The same recipe on the same machine
+    gives the same bytes, interrupted or not.
 
     \b
     Examples:
-      jetnormal train --data pcpnet -o run
-      jetnormal train --data pcpnet --model graphfit --transform qstn --no-correction -o baseline
-      jetnormal train --data meshes --config small --schedule cosine --epochs 50 -o run
-      jetnormal train --data meshes --data pcpnet --synthetic --weights 20,2,8 --validation held_out -o run
-      jetnormal train --model cloudfit --data meshes --synthetic -o run
-      jetnormal train --model cloudfit --initial cloudfit --data forest --epochs 5 --learning-rate 5e-4 -o run
-      jetnormal train --data pcpnet -o run --resume
+      jetnormal train --data meshes -o run
+      jetnormal train -o run --resume
+      jetnormal train --recipe cloudfit --initial cloudfit --data forest --epochs 5 --set learning_rate=5e-4 -o run
+      jetnormal train --recipe graphfit-paper --data pcpnet -o run
+      jetnormal train --recipe mine.toml --data meshes --data pcpnet --synthetic --weights 20,2,8 -o run
     """
     set_verbosity(quiet, verbose)
-    chosen = _chosen(context)
-    for foreign in PATCH_OPTIONS if model == "cloudfit" else CLOUD_OPTIONS:
-        if foreign in chosen:
-            raise UsageError(f"--{foreign.replace('_', '-')} is no option of {model}: leave it out")
-    from jetnormal.data.sources import VALIDATION_LIST, open_dataset
-    from jetnormal.support.device import resolve_device, torch_threads
+    from jetnormal.training.recipe import recipe_text
 
-    open_source = partial(open_dataset, clouds_per_epoch=clouds_per_epoch, points=points_per_cloud)
-    source = open_source(data or [], synthetic=synthetic, weights=weights, list_file=list_file)
-    held_out = None
-    validation = validation or next((folder for folder in data or [] if (folder / VALIDATION_LIST).is_file()), None)
-    if validation:
-        held_out = open_source([validation], list_file=validation_list, default_list=VALIDATION_LIST)
-    name = " ".join([folder.resolve().name for folder in data or []] + ["synthetic"] * synthetic)
-    arguments: dict[str, Any] = {"validation": held_out, "resume": resume, "tensorboard": tensorboard}
-    if model == "cloudfit":
-        from jetnormal.networks.cloudfit.network import CloudFitConfig
-        from jetnormal.training.cloudloop import CloudTrainOptions, train_cloudfit
-
-        if device not in ("auto", "cpu"):
-            raise UsageError("cloudfit trains on the CPU: leave --device out")
-        own = {field.name for field in dataclasses.fields(CloudTrainOptions)}
-        cloud_options = CloudTrainOptions(
-            data=name, **{key: value for key, value in chosen.items() if key in own - {"data"}}
-        )
-        layout = CloudFitConfig() if order is None else CloudFitConfig(order=order)
-        summary = train_cloudfit(layout, source, out, cloud_options, **arguments)
+    if resume:
+        if recipe is not None or settings or show:
+            raise UsageError("--resume takes the recipe of the run: leave --recipe, --set and --show out")
+        chosen = _resumed(out, data, training)
     else:
-        from jetnormal.networks.patchfit.network import CONFIGS
-        from jetnormal.training.loop import TrainOptions, train
-        from jetnormal.training.losses import LossWeights, published_losses
+        chosen = _chosen(recipe or "cloudfit", data, training, settings or [])
+    if show:
+        typer.echo(recipe_text(chosen, explained=True), nl=False)
+        return
+    from jetnormal.training.train import train as run_training
 
-        if batch_size < 2:
-            raise UsageError("--batch-size must be 2 or more: patch networks normalise over a batch")
-        changes = {"neighbors": neighbors, "order": order, "transform": transform, "width": width, "offsets": offsets}
-        changes |= {"transform_width": transform_width, "correction": False if no_correction else None}
-        given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
-        network = dataclasses.replace(CONFIGS[config][model], **given)
-        losses = LossWeights(
-            consistency=lambda_consistency,
-            regularisation=lambda_regularisation,
-            z_direction=published_losses(network).z_direction if lambda_z is None else lambda_z,
-            sparsity=lambda_sparsity,
-            offsets=lambda_offsets,
-        )
-        options = TrainOptions(
-            epochs=epochs,
-            batch_size=batch_size,
-            learning_rate=learning_rate,
-            schedule=schedule,
-            patches_per_cloud=patches_per_cloud,
-            seed=seed,
-            device=resolve_device(device),
-            bfloat16=bfloat16,
-            losses=losses,
-            data=name,
-            initial=initial,
-        )
-        with torch_threads(threads):
-            summary = train(network, source, out, options, **arguments)
+    try:
+        summary = run_training(chosen, out, resume=resume, device=device, threads=threads, tensorboard=tensorboard)
+    except KeyboardInterrupt:
+        if (out / "state.safetensors").is_file():
+            logger.warning("jetnormal train -o %s --resume goes on", out)
+        raise
     logger.info("the network is %s", summary["model"])
     if json:
         print_json(summary)
 
 
-def _chosen(context: typer.Context) -> dict[str, Any]:
-    """The options on the command line, without those left at their defaults."""
-    sources = {name: context.get_parameter_source(name) for name in context.params}
-    return {name: context.params[name] for name, source in sources.items() if source and source.name == "COMMANDLINE"}
+def _chosen(name: str, data: dict[str, Any], training: dict[str, Any], settings: list[str]) -> Recipe:
+    """A recipe with the changes of the command line."""
+    from jetnormal.training.recipe import make_recipe, merged, parse_changes, read_recipe, read_tables
+
+    tables = merged(read_tables(name), parse_changes(settings, read_recipe(name).tables()))
+    return make_recipe(merged(tables, {"data": data, "training": training}), f"{name}: ")
+
+
+def _resumed(folder: Path, data: dict[str, Any], training: dict[str, Any]) -> Recipe:
+    """The recipe of a run, with those changes that a run allows."""
+    from jetnormal.training.recipe import make_recipe, merged
+    from jetnormal.training.train import recipe_of_run
+
+    foreign = [*(training.keys() - set(EXTENDABLE)), *(data.keys() - set(MOVABLE))]
+    if foreign:
+        raise UsageError(f"--resume takes the run's own {', '.join(sorted(foreign))}: leave it out")
+    return make_recipe(merged(recipe_of_run(folder).tables(), {"data": data, "training": training}))

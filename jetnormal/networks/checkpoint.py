@@ -39,7 +39,17 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any
     text = {"format": FORMAT, "description": json.dumps(metadata, sort_keys=True)}
     content = save({name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata=text)
     with atomic_write(path, overwrite=True) as stream:
-        stream.write(content)
+        stream.write(_canonical(content))
+
+
+def _canonical(content: bytes) -> bytes:
+    """A safetensors file with the entries of its metadata sorted: the library writes them in a random order."""
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)  # the tensors stay aligned
+    return len(text).to_bytes(8, "little") + text + content[8 + size :]
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -12,15 +12,15 @@ This module imports nothing heavy: the command line needs the options to print i
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import numbers
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from jetnormal.errors import UsageError
+from jetnormal.support.suggest import did_you_mean
 
 Vector = tuple[float, float, float]
 
@@ -103,7 +103,7 @@ class OptionSet:
                 check(field, getattr(self, field.name))
 
 
-_Set = TypeVar("_Set", bound=OptionSet)
+_Made = TypeVar("_Made")
 
 
 def fields(kind: type) -> tuple[Field, ...]:
@@ -121,17 +121,16 @@ def fields(kind: type) -> tuple[Field, ...]:
 
 
 def check(field: Field, value: Any) -> None:
-    """Refuse a value that does not fit its field, which is an option.
+    """Refuse a value that does not fit its field.
 
     Raises:
         UsageError: it has the wrong type, is out of bounds or is not one of the choices.
     """
-    assert isinstance(field.note, Option)
     name = field.name.replace("_", " ")
     if not any(_fits(value, part) for part in field.types):
-        meant = _meant(value, field.choices)
+        meant = did_you_mean(str(value), field.choices)
         raise UsageError(f"{name} is {' or '.join(filter(None, map(_described, field.types)))}, not {value!r}{meant}")
-    if _fits(value, float):
+    if isinstance(field.note, Option) and _fits(value, float):
         low = -math.inf if field.note.low is None else field.note.low
         high = math.inf if field.note.high is None else field.note.high
         if not (low <= value <= high and math.isfinite(value)):
@@ -139,11 +138,11 @@ def check(field: Field, value: Any) -> None:
             raise UsageError(f"{name} is {bounds}, not {value}")
 
 
-def build(kind: type[_Set], table: Mapping[str, Any], where: str = "") -> _Set:
-    """Make an option set from the table of a TOML file; what is left out keeps its default.
+def build(kind: type[_Made], table: Mapping[str, Any], where: str = "") -> _Made:
+    """Make a dataclass from the table of a TOML file; what is left out keeps its default.
 
     Args:
-        kind: the dataclass.
+        kind: the dataclass, an `OptionSet` or another one.
         table: values by the names of the fields.
         where: how messages call the table.
 
@@ -154,9 +153,11 @@ def build(kind: type[_Set], table: Mapping[str, Any], where: str = "") -> _Set:
     values = {}
     for name, value in table.items():
         if name not in known:
-            raise UsageError(f"{where}unknown setting {name}{_meant(name, known)}")
+            raise UsageError(f"{where}unknown setting {name}{did_you_mean(name, known)}")
         values[name] = tuple(value) if isinstance(value, list) else value
     try:
+        for name, value in values.items():
+            check(known[name], value)
         return kind(**values)
     except (UsageError, TypeError, ValueError) as error:
         raise UsageError(f"{where}{error}") from error
@@ -190,9 +191,3 @@ def _described(part: Any) -> str:
         return f"a list, each item {_described(first)}" if last is ... else f"{len(get_args(part))} values"
     words = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): ""}
     return words.get(part, str(part))
-
-
-def _meant(name: Any, known: Iterable[str]) -> str:
-    """A hint at the nearest known name."""
-    close = difflib.get_close_matches(str(name), list(known), 1)
-    return f"; did you mean {close[0]}?" if close else ""

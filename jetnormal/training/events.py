@@ -8,7 +8,7 @@ from jetnormal.errors import UsageError
 
 
 class EventLog:
-    """Writes scalars beside the other files of a run.
+    """Writes scalars beside the other files of a run; Weights & Biases reads the files, too (`wandb sync RUN`).
 
     Args:
         folder: of the run; nothing is written to it before the first record.
@@ -22,14 +22,14 @@ class EventLog:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError as error:
             raise UsageError(
-                f"--tensorboard needs the package tensorboard: pip install 'jetnormal[tensorboard]' ({error})"
+                f"TensorBoard events need the package tensorboard: pip install 'jetnormal[tensorboard]' ({error})"
             ) from error
         self._open = SummaryWriter
         self._folder = folder
         self._writer: SummaryWriter | None = None
 
     def record(self, row: dict[str, float]) -> None:
-        """Appends the metrics of the epoch that `row` names; they replace later ones of an interrupted run."""
+        """Append the metrics of the epoch that `row` names; they replace later ones of an interrupted run."""
         epoch = int(row["epoch"])
         if self._writer is None:
             self._writer = self._open(str(self._folder), purge_step=epoch)

@@ -1,40 +1,25 @@
-"""The paper's losses (Du et al., CVPR 2023, eqs. 7, 11 and 12), each a mean over the batch.
+"""Losses of the patch networks (Du et al., CVPR 2023, eqs. 7, 11 and 12) and of CloudFit.
 
-Normals have no sign here: the sine of the angle between two directions is the same for n and -n.
+Normals have no sign here: what compares two directions is the same for n and -n.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from typing import TYPE_CHECKING
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from jetnormal.networks.patchfit.network import PatchFitConfig, PatchPrediction
+from jetnormal.networks.patchfit.network import PatchPrediction
+from jetnormal.training.options import LossWeights
 
+if TYPE_CHECKING:
+    from jetnormal.networks.cloudfit.network import CloudPrediction, Encoding  # brings numba along
 
-@dataclass(frozen=True)
-class LossWeights:
-    """Factors of the terms of the training loss; the first three are the paper's lambda 1, 2 and 3.
-
-    Attributes:
-        consistency: of the neighbors' normals.
-        regularisation: of the feature transform.
-        z_direction: of the z-direction transform; the baselines have no such loss.
-        sparsity: of -log w inside the consistency term, which keeps the weights from vanishing (DeepFit).
-        offsets: of the squared offsets of the points (AdaFit).
-    """
-
-    consistency: float = 0.25
-    regularisation: float = 0.1
-    z_direction: float = 2.0
-    sparsity: float = 0.2
-    offsets: float = 0.1
-
-
-def published_losses(config: PatchFitConfig) -> LossWeights:
-    """The factors that a configuration was published with: without the paper's transform there is no loss on its z."""
-    return LossWeights() if config.transform == "ztransform" else LossWeights(z_direction=0.0)
+FLOOR = 0.05  # radians: what is below is good enough for CloudFit
+SURE = math.radians(10)
 
 
 def sine(estimated: Tensor, true: Tensor) -> Tensor:
@@ -53,7 +38,7 @@ def normal_loss(prediction: PatchPrediction, normals: Tensor) -> Tensor:
 def consistency_loss(prediction: PatchPrediction, neighbor_normals: Tensor, sparsity: float) -> Tensor:
     """L_con: weighted sines of the jet's and the refined normals at the (B, m, 3) neighbors, minus the mean log weight.
 
-    A point whose normal the fit does not explain loses weight; the logarithm forbids the empty explanation.
+    A point whose normal the fit does not explain loses weight; -log w keeps all weights from going to zero.
     """
     assert prediction.rough_neighbors is not None and prediction.refined_neighbors is not None
     sines = sine(prediction.rough_neighbors, neighbor_normals) + sine(prediction.refined_neighbors, neighbor_normals)
@@ -96,3 +81,42 @@ def total_loss(prediction: PatchPrediction, neighbor_normals: Tensor, factors: L
         terms["offsets"] = prediction.offsets.square().mean()
         loss = loss + factors.offsets * terms["offsets"]
     return terms | {"loss": loss}
+
+
+def cloudfit_loss(encoding: Encoding, prediction: CloudPrediction, normals: Tensor, inner: int) -> dict[str, Tensor]:
+    """The terms of CloudFit's loss on a crop and their weighted sum, "loss".
+
+    Each compares directions by the root mean square over the crop, as the measure of the field does over a cloud.
+
+    Args:
+        encoding: of the crop.
+        prediction: at its first `inner` points.
+        normals: (n, 3) true normals of the crop.
+        inner: number of points that are learned from.
+    """
+    true = normals[:inner]
+    terms = {"refined": _rms(prediction.refined, true), "rough": _rms(prediction.rough, true)}
+    inside = [(found[origin < inner], true[origin[origin < inner]]) for found, origin in encoding.directions]
+    errors = [_rms(found, theirs) for found, theirs in inside if len(found)]  # a coarse level may have none there
+    terms["z_direction"] = _rms(prediction.direction, true)
+    terms["votes"] = torch.stack(errors).mean()
+    with torch.no_grad():
+        good = (_square(prediction.refined, true) < 2 * (1 - math.cos(SURE))).float()
+    terms["confidence"] = F.binary_cross_entropy_with_logits(prediction.confidence, good)
+    terms["loss"] = (
+        terms["refined"]
+        + 0.5 * terms["rough"]
+        + 0.5 * terms["z_direction"]
+        + terms["votes"]
+        + 0.1 * terms["confidence"]
+    )
+    return terms
+
+
+def _square(estimated: Tensor, true: Tensor) -> Tensor:
+    """(N,) squared chord between two directions: the squared angle, for small ones."""
+    return 2 * (1 - (estimated * true).sum(1).abs()).clamp_min(0)
+
+
+def _rms(estimated: Tensor, true: Tensor) -> Tensor:
+    return (_square(estimated, true).mean() + FLOOR**2).sqrt()

@@ -1,22 +1,28 @@
 """A training run on disk, and what it takes to go on with it.
 
-RUN/model.safetensors      the network so far, usable with `jetnormal estimate --model`
-RUN/state.safetensors      all that a resumed run needs
+RUN/config.toml            everything that made the run, as a recipe
+RUN/model.safetensors      the network so far, or its average, usable with `jetnormal estimate --model`
+RUN/state.safetensors      all that a resumed run needs besides
 RUN/metrics.csv            one row an epoch
 RUN/events.out.tfevents.*  the same for TensorBoard, where it is asked for
+RUN/.lock                  held while a process trains
 """
 
 from __future__ import annotations
 
 import csv
 import dataclasses
+import json
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
+from filelock import FileLock, Timeout
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.formats.atomic import atomic_write
@@ -28,6 +34,8 @@ from jetnormal.training.events import EventLog
 if TYPE_CHECKING:
     from jetnormal.networks.checkpoint import Network
 
+CONFIG_NAME = "config.toml"
+FREE = ("epochs", "validate_every")  # what a resumed run may change
 SAVE_INTERVAL = 45.0  # seconds: what a killed run loses at most
 
 
@@ -38,31 +46,46 @@ class Position:
     Attributes:
         epoch: epochs completed.
         batch: batches of the next epoch that are done.
-        patches: trained on so far.
+        samples: normals learned from so far.
         seconds: spent so far.
         totals: sums of the loss terms over the batches of the epoch under way.
     """
 
     epoch: int = 0
     batch: int = 0
-    patches: int = 0
+    samples: int = 0
     seconds: float = 0.0
     totals: dict[str, float] = field(default_factory=dict)
 
+    def count(self, terms: dict[str, float], samples: int, seconds: float) -> None:
+        """Move on by a batch."""
+        for name, value in terms.items():
+            self.totals[name] = self.totals.get(name, 0.0) + value
+        self.batch += 1
+        self.samples += samples
+        self.seconds += seconds
+
+    def finish_epoch(self) -> dict[str, float]:
+        """Move on to the next epoch; return the means of the loss terms over the one that ends."""
+        means = {name: value / self.batch for name, value in self.totals.items()}
+        self.epoch, self.batch, self.totals = self.epoch + 1, 0, {}
+        return means
+
 
 class Run:
-    """A network, its optimizer and its position, tied to a folder.
+    """A network, its optimizer, its average and its position, tied to a folder; a context that unlocks the folder.
 
     Args:
         folder: of the run, created if need be.
-        facts: the network's configuration and the options that decide the result; a run is only resumed with the
-            same facts.
+        facts: all that decides on the result; a run is only resumed with the same facts.
         network: to be trained.
         optimizer: of the network's parameters.
+        average: decay, per step, of the exponential moving average of the weights; 0 for none.
         tensorboard: whether to write TensorBoard events.
+        save_interval: seconds from one save to the next within an epoch.
 
     Raises:
-        UsageError: if TensorBoard is asked for and not installed.
+        UsageError: TensorBoard is asked for and not installed.
     """
 
     def __init__(
@@ -71,15 +94,36 @@ class Run:
         facts: dict[str, Any],
         network: Network,
         optimizer: torch.optim.Optimizer,
+        average: float = 0.0,
         tensorboard: bool = False,
+        save_interval: float = SAVE_INTERVAL,
     ) -> None:
         self.folder = folder
-        self.facts = facts
+        self.facts = json.loads(json.dumps(facts))  # as they come back from a file
         self.network = network
         self.optimizer = optimizer
         self.position = Position()
+        self._average = _averaged(network, average) if average else None
         self._saved = time.monotonic()
+        self._save_interval = save_interval
         self._events = EventLog(folder) if tensorboard else None
+        self._lock = FileLock(folder / ".lock", timeout=0)
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    @property
+    def result(self) -> Network:
+        """The network that is validated and saved: the average of the weights, if there is one."""
+        return self.network if self._average is None else cast("Network", self._average.module)
+
+    def update_average(self) -> None:
+        """Move the average, if there is one, towards the weights; the first update copies them."""
+        if self._average is not None:
+            self._average.update_parameters(self.network)
 
     @property
     def model_path(self) -> Path:
@@ -93,79 +137,116 @@ class Run:
     def _metrics_path(self) -> Path:
         return self.folder / "metrics.csv"
 
-    def begin(self, initial: str = "") -> None:
-        """Prepares the folder for a new run, which may start from another model's weights.
+    def begin(self, config: str, initial: str = "") -> None:
+        """Prepare the folder for a new run, which may start from another model's weights.
 
         Args:
+            config: the text of config.toml.
             initial: name or file of that model: what both networks have by the same name and shape is taken over.
 
         Raises:
-            InputError: if the folder holds a run already or cannot be created.
-            ModelError: if there is no such model, or it shares nothing with this network.
+            InputError: the folder holds a run already, another process trains in it, or it cannot be created.
+            ModelError: there is no such model, or it shares nothing with this network.
         """
         if self._state_path.exists():
-            raise InputError(f"{self.folder}: holds a run already; go on with --resume or choose another --out")
+            raise InputError(f"{self.folder}: holds a run already; resume it or choose another folder")
         if initial:
             self._take_over(resolve(initial))
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{self.folder}: cannot be created ({error.strerror}); choose another --out") from error
+            raise InputError(f"{self.folder}: cannot be created ({error.strerror}); choose another folder") from error
+        self._acquire()
         self._metrics_path.unlink(missing_ok=True)
+        with atomic_write(self.folder / CONFIG_NAME, overwrite=True) as stream:
+            stream.write(config.encode())
 
-    def resume(self) -> None:
-        """Goes back to the last saved state.
+    def resume(self, config: str) -> None:
+        """Go back to the last saved state.
+
+        Args:
+            config: the text of config.toml from now on.
 
         Raises:
-            InputError: if there is none.
-            ModelError: if it is damaged.
-            UsageError: if the run began with other options.
+            InputError: there is none, or another process trains in the folder.
+            ModelError: it is damaged.
+            UsageError: the run began with other options.
         """
         if not self._state_path.is_file():
-            raise InputError(f"{self.folder}: there is no run to resume; leave --resume out to start one")
+            raise InputError(f"{self.folder}: there is no run to resume; start one")
+        self._acquire()
         tensors, description = load_tensors(self._state_path)
         if "facts" not in description:
-            raise ModelError(f"{self._state_path}: is not the state of a run; start one without --resume")
+            raise ModelError(f"{self._state_path}: is not the state of a run; start a new one")
         changed = _differences(description["facts"], self.facts)
         if changed:
             raise UsageError(f"{self.folder}: the run began with other options ({', '.join(changed)})")
         try:
-            self.position = Position(**description["position"])
-            self.network.load_state_dict(_part(tensors, "network."))
-            self._restore_optimizer(tensors)
+            self._restore(tensors, description["position"])
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             reason = str(error).splitlines()[0]
             raise ModelError(f"{self._state_path}: damaged ({reason}); start the run anew in another folder") from error
         self._drop_metrics_after(self.position.epoch)
+        with atomic_write(self.folder / CONFIG_NAME, overwrite=True) as stream:
+            stream.write(config.encode())
+
+    def _acquire(self) -> None:
+        """Keep other processes out of the folder; the system lets them in again whichever way this one ends."""
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise InputError(f"{self.folder}: another process trains here; wait for it or end it") from None
+
+    def _restore(self, tensors: dict[str, Tensor], position: dict[str, Any]) -> None:
+        self.position = Position(**position)
+        self.network.load_state_dict(_part(tensors, "network."))
+        if self._average is not None:
+            self._average.load_state_dict(_part(tensors, "average."))
+        state: dict[int, dict[str, Tensor]] = {}
+        for name, value in _part(tensors, "optimizer.").items():
+            index, key = name.split(".", 1)
+            state.setdefault(int(index), {})[key] = value
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": state, "param_groups": groups})
 
     def save_if_due(self) -> None:
-        """Saves if the last save is more than SAVE_INTERVAL ago."""
-        if time.monotonic() - self._saved > SAVE_INTERVAL:
+        """Save if the last save is longer ago than the interval."""
+        if time.monotonic() - self._saved >= self._save_interval:
             self.save()
 
     def save(self) -> None:
-        """Writes the network on its own and the state, each atomically; the state last, for a resumed run trusts it."""
-        training = self.facts | {"patches": self.position.patches, "seconds": round(self.position.seconds)}
+        """Write the network on its own and the state, each atomically; the state last, for a resumed run trusts it."""
+        training = self.facts | {"samples": self.position.samples}  # nothing else: the same run gives the same bytes
         if "rmse" in (last := self.last_record()):
             training["rmse"] = last["rmse"]
-        save_model(self.model_path, self.network, training)
-        tensors = {f"network.{name}": value for name, value in self.network.state_dict().items()}
+        save_model(self.model_path, self.result, training)
+        tensors = _named("network.", self.network.state_dict())
         for index, values in self.optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer.{index}.{name}": value for name, value in values.items()}
+            tensors |= _named(f"optimizer.{index}.", values)
+        if self._average is not None:
+            tensors |= _named("average.", self._average.state_dict())
         description = {"facts": self.facts, "position": dataclasses.asdict(self.position)}
         save_tensors(self._state_path, tensors, description)
         self._saved = time.monotonic()
 
     def record(self, row: dict[str, float]) -> None:
-        """Appends an epoch's metrics to the table."""
-        columns = list(self.last_record() or row)  # a resumed run has its terms in another order
+        """Append an epoch's metrics to the table; what is not a number stays empty."""
+        known = {name: value for name, value in row.items() if not math.isnan(value)}
+        cells = {name: value if isinstance(value, int) else f"{value:.6g}" for name, value in known.items()}
         with self._metrics_path.open("a", newline="") as stream:
-            writer = csv.DictWriter(stream, columns, lineterminator="\n")
+            writer = csv.DictWriter(stream, self._columns() or row, lineterminator="\n")
             if stream.tell() == 0:
                 writer.writeheader()
-            writer.writerow({name: value if isinstance(value, int) else f"{value:.6g}" for name, value in row.items()})
+            writer.writerow(cells)
         if self._events:
-            self._events.record(row)
+            self._events.record(known)
+
+    def _columns(self) -> list[str]:
+        """The columns of the table so far: a resumed run has its loss terms in another order."""
+        if not self._metrics_path.exists():
+            return []
+        with self._metrics_path.open(newline="") as stream:
+            return next(csv.reader(stream), [])
 
     def last_record(self) -> dict[str, float]:
         """The metrics of the last epoch; empty before the first."""
@@ -173,7 +254,7 @@ class Run:
             return {}
         with self._metrics_path.open(newline="") as stream:
             *_, last = [{}, *csv.DictReader(stream)]
-        return {name: int(value) if value.isdigit() else float(value) for name, value in last.items()}
+        return {name: int(value) if value.isdigit() else float(value) for name, value in last.items() if value}
 
     def _take_over(self, path: Path) -> None:
         """Copies the weights of a model file that fit into this network."""
@@ -185,20 +266,22 @@ class Run:
         self.network.load_state_dict(own | fitting)
         logger.info("starting from %s: %d of %d tensors fit", path, len(fitting), len(own))
 
-    def _restore_optimizer(self, tensors: dict[str, Tensor]) -> None:
-        state: dict[int, dict[str, Tensor]] = {}
-        for name, value in _part(tensors, "optimizer.").items():
-            index, key = name.split(".", 1)
-            state.setdefault(int(index), {})[key] = value
-        groups = self.optimizer.state_dict()["param_groups"]
-        self.optimizer.load_state_dict({"state": state, "param_groups": groups})
-
     def _drop_metrics_after(self, epoch: int) -> None:
         """Removes the rows of epochs that the resumed run will do again."""
         if self._metrics_path.exists():
             lines = self._metrics_path.read_text().splitlines(keepends=True)
             with atomic_write(self._metrics_path, overwrite=True) as stream:
                 stream.write("".join(lines[: epoch + 1]).encode())  # a header and a row an epoch
+
+
+def _averaged(network: Network, decay: float) -> AveragedModel:
+    """A copy of a network, statistics of its normalisations included, that follows it."""
+    return AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(decay), use_buffers=True)
+
+
+def _named(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors with a prefix before their names."""
+    return {f"{prefix}{name}": value for name, value in tensors.items()}
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
@@ -209,7 +292,7 @@ def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 def _differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """Names of the entries, at any depth, that differ; those that one version of the program lacks do not."""
     names = []
-    for key in before.keys() & now.keys():
+    for key in (before.keys() & now.keys()) - set(FREE):
         old, new = before[key], now[key]
         if isinstance(old, dict) and isinstance(new, dict):
             names += _differences(old, new)

@@ -13,13 +13,16 @@ import pytest
 from jetnormal.cli.app import main
 from jetnormal.data.sources import MeshFolder, Mixture, PcpnetFolder, SyntheticSolids
 from jetnormal.estimators.factory import make_estimator
-from jetnormal.networks.checkpoint import load_model
 from jetnormal.networks.patchfit.network import CONFIGS
-from jetnormal.training import loop
-from jetnormal.training.losses import LossWeights
+from jetnormal.training import train as training
+from jetnormal.training.options import DataOptions, LossWeights, PatchTraining
+from jetnormal.training.patch_task import PatchTask
+from jetnormal.training.recipe import read_recipe, recipe_names
 
-TINY = ["--config", "small", "--width", "0.125", "--transform-width", "0.125", "--neighbors", "16", "--epochs", "1"]
-TINY += ["--batch-size", "16", "--patches-per-cloud", "32", "--clouds-per-epoch", "1", "--points-per-cloud", "300"]
+SMALL = {"width": 0.125, "transform_width": 0.125, "neighbors": 16, "batch_size": 16, "patches_per_cloud": 32}
+SMALL |= {"clouds_per_epoch": 1, "points_per_cloud": 300, "validation_patches": 20, "bfloat16": "false"}
+TINY = ["--recipe", "deepfit-small", "--epochs", "1", "--threads", "1"]
+TINY += [part for name, value in SMALL.items() for part in ("--set", f"{name}={value}")]
 
 
 @pytest.fixture
@@ -51,11 +54,11 @@ def handed_over(monkeypatch):
     """What the command gives to the training, which does not happen."""
     calls = []
 
-    def train(config, source, folder, options, **others):
-        calls.append((config, source, folder, options, others))
+    def train(recipe, folder, **others):
+        calls.append((recipe, folder, others))
         return {"model": "model.safetensors"}
 
-    monkeypatch.setattr(loop, "train", train)
+    monkeypatch.setattr(training, "train", train)
     return calls
 
 
@@ -81,7 +84,7 @@ def test_trained_model_is_usable(data, pcpnet, meshes, tmp_path, monkeypatch, ca
     summary = json.loads(captured.out)
     assert "epoch 1 of 1: loss " in captured.err
     (row,) = metrics(folder)
-    assert row["patches"] == summary["patches"] == (96 if data == "mixture" else 32)
+    assert row["samples"] == summary["samples"] == (96 if data == "mixture" else 32)
     assert 0 < row["rmse"] < 90
     assert row["loss"] == pytest.approx(summary["loss"], rel=1e-4)
     points = np.random.default_rng(1).uniform(size=(50, 3)) * [1, 1, 0.1]
@@ -91,8 +94,9 @@ def test_trained_model_is_usable(data, pcpnet, meshes, tmp_path, monkeypatch, ca
 
 def test_trained_cloudfit_is_usable(tmp_path, monkeypatch, capsys):
     folder = tmp_path / "run"
-    small = ["--clouds-per-epoch", "2", "--points-per-cloud", "600", "--crop-points", "200", "--crops-per-cloud", "2"]
-    arguments = ["--model", "cloudfit", "--synthetic", *small, "--epochs", "1", "--order", "3", "-o", folder, "--json"]
+    small = {"clouds_per_epoch": 2, "points_per_cloud": 600, "crop_points": 200, "crops_per_cloud": 2, "order": 3}
+    settings = [part for name, value in small.items() for part in ("--set", f"{name}={value}")]
+    arguments = ["--synthetic", *settings, "--epochs", "1", "-o", folder, "--json", "--threads", "1"]
     assert run(monkeypatch, *arguments) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["parameters"] == 2_129_273
@@ -102,20 +106,45 @@ def test_trained_cloudfit_is_usable(tmp_path, monkeypatch, capsys):
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-5)
 
 
-def test_resumed_run_continues_where_it_stopped(pcpnet, tmp_path, monkeypatch):
+def test_an_interrupted_run_is_resumed_from_its_folder_alone(pcpnet, tmp_path, monkeypatch, capsys):
     arguments = ["--data", pcpnet, *TINY, "--epochs", "2", "--device", "cpu"]
     assert run(monkeypatch, *arguments, "-o", tmp_path / "whole") == 0
 
-    def stop(*_):
-        raise KeyboardInterrupt
+    def errors(*given, original=PatchTask.errors):
+        if validated:
+            raise KeyboardInterrupt
+        validated.append(1)
+        return original(*given)
 
+    validated: list[int] = []
     with monkeypatch.context() as patch:
-        patch.setattr(loop.Run, "record", lambda self, row: self.position.epoch == 2 and stop())
-        assert run(patch, *arguments, "-o", tmp_path / "halves") == 130
-    assert run(monkeypatch, *arguments, "-o", tmp_path / "halves", "--resume") == 0
-    whole, halves = (load_model(tmp_path / name / "model.safetensors") for name in ("whole", "halves"))
-    for name, value in whole.state_dict().items():
-        np.testing.assert_array_equal(value, halves.state_dict()[name])
+        patch.chdir(tmp_path)
+        patch.setattr(PatchTask, "errors", errors)
+        arguments[1] = pcpnet.name
+        assert run(patch, *arguments, "-o", "halves") == 130
+    message = capsys.readouterr().err
+    assert "interrupted; saved in halves" in message
+    assert "jetnormal train -o halves --resume goes on" in message
+    assert run(monkeypatch, "-o", tmp_path / "halves", "--resume", "--threads", "1") == 0
+    whole, halves = (tmp_path / name / "model.safetensors" for name in ("whole", "halves"))
+    assert whole.read_bytes() == halves.read_bytes()
+    assert run(monkeypatch, "-o", tmp_path / "halves", "--resume", "--epochs", "3", "--threads", "1") == 0
+    assert [row["epoch"] for row in metrics(tmp_path / "halves")] == [1, 2, 3]
+
+
+def test_a_run_whose_data_moved_is_resumed(pcpnet, tmp_path, monkeypatch):
+    assert run(monkeypatch, "--data", pcpnet, *TINY, "-o", tmp_path / "run") == 0
+    (tmp_path / "elsewhere").mkdir()
+    moved = pcpnet.rename(tmp_path / "elsewhere" / "pcpnet")
+    assert run(monkeypatch, "-o", tmp_path / "run", "--resume", "--epochs", "2") == 3
+    assert run(monkeypatch, "-o", tmp_path / "run", "--resume", "--epochs", "2", "--data", moved, "--threads", "1") == 0
+
+
+@pytest.mark.parametrize("arguments", ["--recipe cloudfit", "--seed 2", "--set order=2", "--synthetic", "--show"])
+def test_a_resumed_run_takes_no_other_options(arguments, pcpnet, tmp_path, monkeypatch, capsys):
+    assert run(monkeypatch, "--data", pcpnet, *TINY, "-o", tmp_path / "run") == 0
+    assert run(monkeypatch, "-o", tmp_path / "run", "--resume", *arguments.split()) == 2
+    assert arguments.split()[0].strip("-") in capsys.readouterr().err
 
 
 def test_tensorboard_events_hold_the_metrics(pcpnet, tmp_path, monkeypatch):
@@ -124,7 +153,7 @@ def test_tensorboard_events_hold_the_metrics(pcpnet, tmp_path, monkeypatch):
     (row,) = metrics(tmp_path / "run")
     found = events.EventAccumulator(str(tmp_path / "run"))
     found.Reload()
-    for name in ("loss", "rmse", "patches"):
+    for name in ("loss", "rmse", "samples"):
         (event,) = found.Scalars(name)
         assert event.step == 1
         assert event.value == pytest.approx(row[name], rel=1e-4)
@@ -144,100 +173,96 @@ def test_tensorboard_that_is_absent_is_named(pcpnet, tmp_path, monkeypatch, caps
     assert not (tmp_path / "run").exists()
 
 
-def test_defaults_are_the_papers(handed_over, monkeypatch):
-    assert run(monkeypatch, "--synthetic", "--device", "cpu") == 0
-    ((config, source, folder, options, others),) = handed_over
-    assert config == CONFIGS["paper"]["deepfit"]
-    assert isinstance(source, SyntheticSolids)
-    assert source.clouds_per_epoch == SyntheticSolids().clouds_per_epoch
-    assert vars(source) == vars(SyntheticSolids())
+def test_the_default_is_cloudfit(handed_over, monkeypatch):
+    assert run(monkeypatch, "--synthetic") == 0
+    ((recipe, folder, others),) = handed_over
+    assert recipe == read_recipe("cloudfit", {"data": {"synthetic": True}})
     assert folder == Path("run")
-    assert options == loop.TrainOptions(data="synthetic")
-    assert others == {"validation": None, "resume": False, "tensorboard": False}
+    assert others == {"resume": False, "device": "auto", "threads": None, "tensorboard": False}
 
 
 @pytest.mark.parametrize("model", ["deepfit", "adafit", "graphfit"])
-def test_published_baselines_are_a_matter_of_two_options(model, handed_over, monkeypatch):
-    arguments = ["--synthetic", "--model", model, "--device", "cpu"]
-    assert run(monkeypatch, *arguments) == 0
-    assert run(monkeypatch, *arguments, "--transform", "qstn", "--no-correction") == 0
-    (both, *_, options, _), (baseline, *_, without, _) = handed_over
-    assert both == CONFIGS["paper"][model]
-    assert options.losses == LossWeights()
-    assert baseline == dataclasses.replace(both, transform="qstn", correction=False)
-    assert without.losses == LossWeights(z_direction=0)
+def test_published_networks_are_recipes(model):
+    both, baseline = read_recipe(f"{model}-paper"), read_recipe(f"{model}-baseline")
+    assert both.network == CONFIGS["paper"][model]
+    assert both.losses == LossWeights()
+    assert both.training == baseline.training == PatchTraining()
+    assert baseline.network == dataclasses.replace(both.network, transform="qstn", correction=False)
+    assert baseline.losses == LossWeights(z_direction=0)
+    small = read_recipe(f"{model}-small").network
+    assert dataclasses.replace(small, width=CONFIGS["small"][model].width) == CONFIGS["small"][model]
 
 
 def test_options_reach_the_training(handed_over, pcpnet, meshes, monkeypatch):
-    arguments = (
-        f"--data {meshes} --data {pcpnet} --synthetic --weights 20,2,8 --clouds-per-epoch 7 --points-per-cloud 90"
+    arguments = f"--data {meshes} --data {pcpnet} --synthetic --weights 20,2,8 --validation {pcpnet} --epochs 9"
+    arguments += " --recipe adafit-small --seed 3 --validate-every 2 --initial deepfit-small --tensorboard -o folder"
+    arguments += " --device cpu --threads 1 --set network.order=2 --set z_direction=1 --set transform=qstn"
+    arguments += " --set average=0.9 --set list_file=validationset_whitenoise.txt"
+    assert run(monkeypatch, *arguments.split()) == 0
+    ((recipe, folder, others),) = handed_over
+    base = read_recipe("adafit-small")
+    assert recipe.network == dataclasses.replace(base.network, order=2, transform="qstn")
+    assert recipe.losses == LossWeights(z_direction=1)
+    assert recipe.training == dataclasses.replace(
+        base.training, epochs=9, seed=3, validate_every=2, initial="deepfit-small", average=0.9
     )
-    arguments += f" --list validationset_whitenoise.txt --validation {pcpnet} --config small --neighbors 64 --order 2"
-    arguments += " --transform qstn --no-correction --width 0.75 --transform-width 0.5 --epochs 9 --batch-size 8"
-    arguments += " --model adafit --no-offsets --lambda-z 1 --lambda-consistency 2 --lambda-sparsity 3"
-    arguments += " --lambda-regularisation 4 --lambda-offsets 5 --initial deepfit-small"
-    arguments += " --patches-per-cloud 5 --learning-rate 2e-4 --schedule cosine --bfloat16 --seed 3 --resume -o run"
-    assert run(monkeypatch, *arguments.split(), "--device", "cpu", "--tensorboard") == 0
-    ((config, source, _, options, others),) = handed_over
-    assert vars(config) == vars(CONFIGS["small"]["adafit"]) | {
-        "neighbors": 64,
-        "order": 2,
-        "transform": "qstn",
-        "correction": False,
-        "width": 0.75,
-        "transform_width": 0.5,
-        "offsets": False,
-    }
-    assert vars(options) == vars(loop.TrainOptions()) | {
-        "epochs": 9,
-        "batch_size": 8,
-        "patches_per_cloud": 5,
-        "learning_rate": 2e-4,
-        "schedule": "cosine",
-        "bfloat16": True,
-        "losses": LossWeights(z_direction=1, consistency=2, sparsity=3, regularisation=4, offsets=5),
-        "seed": 3,
-        "data": f"{meshes.name} {pcpnet.name} synthetic",
-        "initial": "deepfit-small",
-    }
+    assert recipe.data == DataOptions(
+        folders=(str(meshes), str(pcpnet)),
+        synthetic=True,
+        weights=(20, 2, 8),
+        validation=str(pcpnet),
+        list_file="validationset_whitenoise.txt",
+    )
+    assert folder == Path("folder")
+    assert others == {"resume": False, "device": "cpu", "threads": 1, "tensorboard": True}
+
+
+def test_the_sources_are_opened_as_the_recipe_says(pcpnet, meshes):
+    data = DataOptions((str(meshes), str(pcpnet)), synthetic=True, weights=(20, 2, 8), clouds_per_epoch=7)
+    source = training.open_training(dataclasses.replace(data, points_per_cloud=90))
     assert isinstance(source, Mixture)
     assert source.clouds_per_epoch == 7 + 1 + 7
     names = [source.cloud(0, index, 0).name for index in range(15)]
     assert sum(name.startswith("tetrahedron") for name in names) == 10
     assert sum(name.startswith("solid") for name in names) == 4
-    assert names.count("other") == 1
-    assert isinstance(others["validation"], PcpnetFolder)
-    assert others["validation"].names == ["other"]
-    assert others["resume"]
-    assert others["tensorboard"]
-
-
-def test_mesh_folder_takes_its_sizes_from_the_options(handed_over, meshes, monkeypatch):
-    arguments = ["--clouds-per-epoch", "3", "--points-per-cloud", "90", "-o", "run", "--device", "cpu"]
-    assert run(monkeypatch, "--data", meshes, *arguments) == 0
-    source = handed_over[0][1]
+    assert names.count("ball") == 1
+    validation = training.open_validation(data)
+    assert isinstance(validation, PcpnetFolder)
+    assert validation.names == ["other"]
+    assert training.open_validation(DataOptions((str(meshes),))) is None
+    assert isinstance(training.open_training(DataOptions(synthetic=True)), SyntheticSolids)
+    source = training.open_training(DataOptions((str(meshes),), clouds_per_epoch=3, points_per_cloud=90))
     assert isinstance(source, MeshFolder)
     assert source.clouds_per_epoch == 3
     assert max(len(source.cloud(epoch, 0, 0).points) for epoch in range(8)) <= 90
+
+
+@pytest.mark.parametrize("name", recipe_names())
+def test_a_shown_recipe_is_the_recipe(name, tmp_path, monkeypatch, capsys):
+    assert run(monkeypatch, "--recipe", name, "--show") == 0
+    (tmp_path / "shown.toml").write_text(capsys.readouterr().out)
+    assert read_recipe(str(tmp_path / "shown.toml")) == read_recipe(name)
 
 
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [
         ("-o run", 2),
-        ("--synthetic -o run --config large", 2),
-        ("--synthetic -o run --order 5", 2),
-        ("--synthetic -o run --batch-size 1", 2),
-        ("--synthetic -o run --crop-points 500", 2),
-        ("--synthetic -o run --model cloudfit --lambda-z 1", 2),
-        ("--synthetic -o run --model cloudfit --bfloat16", 2),
-        ("--synthetic -o run --model cloudfit --batch-size 99 --clouds-per-epoch 1 --points-per-cloud 600", 2),
+        ("--synthetic -o run --recipe absent", 3),
+        ("--synthetic -o run --recipe pcpnet/ball.xyz", 3),
+        ("--synthetic -o run --set order=5", 2),
+        ("--synthetic -o run --set order", 2),
+        ("--synthetic -o run --set width=inf --recipe deepfit-small", 2),
+        ("--synthetic -o run --set batch_size=1 --recipe deepfit-small", 2),
+        ("--synthetic -o run --set crop_points=500 --recipe deepfit-small", 2),
+        ("--synthetic -o run --set z_direction=1", 2),
+        ("--synthetic -o run --set batch_size=99 --set clouds_per_epoch=1 --set points_per_cloud=600", 2),
         ("--synthetic -o run --weights 1,a", 2),
         ("--synthetic -o run --weights 1,2", 2),
-        ("--synthetic -o run --batch-size 1000 --clouds-per-epoch 1 --patches-per-cloud 9 --points-per-cloud 600", 2),
+        ("--synthetic -o run --epochs 0", 2),
         ("--data absent -o run", 3),
-        ("--data pcpnet --list absent.txt -o run", 3),
-        ("--data pcpnet --neighbors 301 -o run", 3),
+        ("--data pcpnet --set list_file=absent.txt -o run", 3),
+        ("--data pcpnet --recipe deepfit-small --set neighbors=301 -o run", 3),
         ("--data pcpnet --validation absent -o run", 3),
         ("--data pcpnet -o run --resume", 3),
         ("--data pcpnet -o pcpnet/ball.xyz", 3),
@@ -254,9 +279,7 @@ def test_run_is_not_started_over_another(pcpnet, tmp_path, monkeypatch, capsys):
     arguments = ["--data", pcpnet, *TINY, "-o", tmp_path, "--device", "cpu"]
     assert run(monkeypatch, *arguments) == 0
     assert run(monkeypatch, *arguments) == 3
-    assert "--resume" in capsys.readouterr().err
-    assert run(monkeypatch, *arguments, "--resume", "--seed", "2") == 2
-    assert "seed was 1" in capsys.readouterr().err
+    assert "holds a run already; resume it" in capsys.readouterr().err
 
 
 def test_absent_device_exits_5(pcpnet, tmp_path, monkeypatch):

@@ -6,18 +6,17 @@ import torch
 from torch.nn.functional import normalize
 
 from jetnormal.geometry.jet import Jet
-from jetnormal.networks.patchfit.network import PatchFitConfig, PatchPrediction
+from jetnormal.networks.patchfit.network import PatchPrediction
 from jetnormal.networks.patchfit.ztransform import rotation_matrix, rotation_to_z
 from jetnormal.training.losses import (
-    LossWeights,
     consistency_loss,
     normal_loss,
     orthogonality_loss,
-    published_losses,
     sine,
     total_loss,
     z_direction_loss,
 )
+from jetnormal.training.options import LossWeights
 
 BATCH, K = 6, 10
 
@@ -99,11 +98,6 @@ def test_normals_beyond_the_fitted_points_do_not_matter():
     given = prediction(normals[:, :K], rough=directions(BATCH))
     expected = total_loss(given, normals[:, :K], LossWeights())
     assert torch.equal(total_loss(given, normals, LossWeights())["loss"], expected["loss"])
-
-
-def test_baselines_have_no_loss_on_z():
-    assert published_losses(PatchFitConfig()) == LossWeights()
-    assert published_losses(PatchFitConfig(transform="qstn")) == LossWeights(z_direction=0.0)
 
 
 def test_the_z_loss_vanishes_where_the_transform_aligns():

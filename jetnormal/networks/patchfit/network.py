@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from torch import Tensor, nn
 
@@ -37,10 +38,10 @@ class PatchFitConfig:
         ValueError: if a number is out of range.
     """
 
-    weights: str = "deepfit"
+    weights: Literal["deepfit", "adafit", "graphfit"] = "deepfit"
     neighbors: int = 256
     order: int = 3
-    transform: str = "ztransform"
+    transform: Literal["ztransform", "qstn"] = "ztransform"
     correction: bool = True
     width: float = 1.0
     transform_width: float | None = None

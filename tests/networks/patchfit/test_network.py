@@ -14,7 +14,8 @@ from jetnormal.networks.patchfit import network as patchfit
 from jetnormal.networks.patchfit.layers import PointLayer
 from jetnormal.networks.patchfit.network import CONFIGS, PatchFit, PatchFitConfig, PatchPrediction, parameter_count
 from jetnormal.networks.patchfit.ztransform import rotation_to_z
-from jetnormal.training.losses import LossWeights, total_loss
+from jetnormal.training.losses import total_loss
+from jetnormal.training.options import LossWeights
 
 SMALL = PatchFitConfig(neighbors=32, width=0.125)
 

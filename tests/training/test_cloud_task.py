@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from jetnormal.data.sources import SyntheticSolids
+from jetnormal.errors import ModelError, UsageError
+from jetnormal.geometry.pyramid import build_pyramid
+from jetnormal.networks.checkpoint import load_model
+from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig
+from jetnormal.support.device import worker_pool
+from jetnormal.training import cloud_task
+from jetnormal.training.cloud_task import CloudTask
+from jetnormal.training.losses import FLOOR, cloudfit_loss
+from jetnormal.training.options import CloudTraining
+from jetnormal.training.recipe import read_recipe
+from jetnormal.training.train import train
+
+LAYERS = {"channels": (4, 4, 4), "hidden": 4, "up_layers": (1, 1, 1), "down_layers": (1, 1, 0)}
+TINY = CloudFitConfig(**LAYERS)
+SOLIDS = SyntheticSolids(clouds_per_epoch=2, points=400)
+RECIPE = read_recipe(
+    "cloudfit", {"network": LAYERS, "training": {"epochs": 2, "crop_points": 150, "crops_per_cloud": 3}}
+)
+
+
+def weights(folder: Path) -> dict[str, torch.Tensor]:
+    return load_model(folder / "model.safetensors").state_dict()
+
+
+def test_an_interrupted_run_ends_as_an_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    summary = train(RECIPE, tmp_path / "whole", source=SOLIDS, threads=2)
+    assert summary["epoch"] == 2
+    assert summary["samples"] == 2 * 3 * 2 * 75
+    steps = []
+
+    def stop_in_the_second_epoch(*arguments, backward=CloudTask.backward):
+        steps.append(1)
+        if len(steps) == 5:
+            raise KeyboardInterrupt
+        return backward(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(CloudTask, "backward", stop_in_the_second_epoch)
+        with pytest.raises(KeyboardInterrupt):
+            train(RECIPE, tmp_path / "parts", source=SOLIDS, threads=2)
+    train(RECIPE, tmp_path / "parts", source=SOLIDS, threads=2, resume=True)
+    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "parts")
+    assert all(torch.equal(value, parts[name]) for name, value in whole.items())
+
+
+def test_a_loss_that_is_no_number_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    terms = {"loss": torch.tensor(math.nan, requires_grad=True)}
+    monkeypatch.setattr(cloud_task, "cloudfit_loss", lambda *_: terms)
+    with pytest.raises(ModelError, match="lower the learning rate"):
+        train(RECIPE, tmp_path, source=SOLIDS)
+
+
+def test_cloudfit_trains_on_the_cpu_only(tmp_path: Path):
+    with pytest.raises(UsageError, match="cloudfit trains on the CPU, not on cuda"):
+        train(RECIPE, tmp_path, source=SOLIDS, device="cuda")
+
+
+def test_the_average_is_validated(tmp_path: Path):
+    """The errors are those of the network given, not of the task's own."""
+    with worker_pool(1) as pool:
+        task = CloudTask(TINY, CloudTraining(crop_points=150), pool)
+        held_out = task.held_out(SOLIDS)
+        assert len(held_out) == 4
+        other = CloudFit(TINY)
+        assert task.errors(other, held_out) != task.errors(task.network, held_out)
+        assert task.errors(task.network, held_out) == task.errors(task.network, held_out)
+
+
+def test_loss_of_the_truth_is_its_floor():
+    rng = np.random.default_rng(0)
+    normals = torch.nn.functional.normalize(torch.randn(200, 3), dim=1)
+    network = CloudFit(TINY)
+    encoding = network.encode(build_pyramid(rng.random((200, 3)), 3))
+    prediction = network.fit(encoding, torch.arange(50))
+    terms = cloudfit_loss(encoding, prediction, normals, 50)
+    assert terms["refined"] > 0.3
+    prediction.refined.data.copy_(-normals[:50])  # signs do not matter
+    assert cloudfit_loss(encoding, prediction, normals, 50)["refined"].item() == pytest.approx(FLOOR, rel=0.01)
