@@ -1,12 +1,14 @@
-"""The wheel, installed into an environment of its own, works far from the source tree."""
+"""The source distribution is complete, and its wheel, installed elsewhere, works far from the source tree."""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import zipfile
 from importlib.metadata import requires
 from pathlib import Path
@@ -28,10 +30,16 @@ def run(*command: str | Path, cwd: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
-    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT, cwd=folder)
-    (path,) = folder.glob("*.whl")
+def dist(tmp_path_factory) -> Path:
+    """A folder with the source distribution, and with the wheel that was built from it."""
+    folder = tmp_path_factory.mktemp("dist")
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ROOT, cwd=folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(dist) -> Path:
+    (path,) = dist.glob("*.whl")
     return path
 
 
@@ -58,6 +66,15 @@ def programs(wheel, tmp_path_factory) -> Path:
         cwd=environment,
     )
     return programs
+
+
+@pytest.mark.skipif(shutil.which("git") is None or not (ROOT / ".git").exists(), reason="this is no clone")
+def test_source_distribution_holds_what_a_clone_holds(dist):
+    (path,) = dist.glob("*.tar.gz")
+    with tarfile.open(path) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    tracked = run("git", "-c", f"safe.directory={ROOT}", "ls-files", cwd=ROOT).splitlines()
+    assert {name for name in tracked if (ROOT / name).exists()} <= names
 
 
 def test_wheel_carries_models_types_and_licence(wheel):
