@@ -38,14 +38,14 @@ class Surface(Protocol):
     """Something to draw points from: a mesh, a solid or a dense cloud."""
 
     def sample(self, count: int, rng: np.random.Generator, /) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns points (count, 3) and outward unit normals (count, 3)."""
+        """Return points (count, 3) and outward unit normals (count, 3)."""
         ...
 
 
 def scan(
     surface: Surface, largest: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], str]:
-    """Draws points from a surface and corrupts them as a scanner would.
+    """Draw points from a surface and corrupt them as a scanner would.
 
     Args:
         surface: Where the points come from.

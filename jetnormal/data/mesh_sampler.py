@@ -16,7 +16,7 @@ CREASE_DEGREES = 35.0  # neighbouring faces that turn by more meet in a sharp ed
 
 
 def load_mesh(path: Path | str) -> Mesh:
-    """Reads a triangle mesh.
+    """Read a triangle mesh.
 
     Vertices at exactly the same place become one, so that STL triangles know their neighbours.
 
@@ -31,7 +31,7 @@ def load_mesh(path: Path | str) -> Mesh:
 
 
 class MeshSampler:
-    """Draws points that are uniform over the surface of a mesh, with outward unit normals.
+    """Draw points that are uniform over the surface of a mesh, with outward unit normals.
 
     The normal of a point is interpolated over its face from the normals of the face's corners. A corner's
     normal is the mean, weighted by angle, of the faces around the vertex that turn by at most 35 degrees
@@ -66,7 +66,7 @@ class MeshSampler:
         return float(self._cumulative_area[-1])
 
     def sample(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns `count` points uniform over the surface, (count, 3), and their unit normals, (count, 3)."""
+        """Return `count` points uniform over the surface, (count, 3), and their unit normals, (count, 3)."""
         # Side "right" skips faces without area; rounding may reach past the last face.
         face = np.searchsorted(self._cumulative_area, rng.random(count) * self.area, side="right")
         face = np.minimum(face, len(self._cumulative_area) - 1)

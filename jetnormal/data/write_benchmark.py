@@ -1,4 +1,4 @@
-"""Sets of clouds in PCPNet's layout, drawn from meshes or procedural solids.
+"""Set of clouds in PCPNet's layout, drawn from meshes or procedural solids.
 
 Of each shape come PCPNet's six categories: clean points; the same points under three levels of noise; and two clouds
 of uneven density, a gradient and stripes.
@@ -71,7 +71,7 @@ def write_dataset(
     solids: int = 0,
     overwrite: bool = False,
 ) -> list[str]:
-    """Writes clouds and lists of them. The same arguments give the same bytes.
+    """Write clouds and lists of them. The same arguments give the same bytes.
 
     Everything is written beside the folder first, and takes its name when it is complete.
 
@@ -114,7 +114,7 @@ def write_dataset(
 def draw(
     surface: Surface, count: int, rng: np.random.Generator
 ) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Draws clouds of `count` points from a surface: category, points (count, 3) and normals (count, 3) of each.
+    """Draw clouds of `count` points from a surface: category, points (count, 3) and normals (count, 3) of each.
 
     The normals of a noisy cloud are those of the clean points that it came from, as in PCPNet.
     """

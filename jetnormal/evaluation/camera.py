@@ -26,7 +26,7 @@ class Camera:
     """
 
     def __init__(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> None:
-        """Chooses the view for points (N, 3) with normals (N, 3), which then fill the picture."""
+        """Choose the view for points (N, 3) with normals (N, 3), which then fill the picture."""
         step = max(1, len(points) // TRIAL_POINTS)
         turns = np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS
         views = [_axes(azimuth, np.radians(elevation)) for elevation in ELEVATIONS for azimuth in turns]
@@ -56,7 +56,7 @@ class Camera:
 
 
 def paint(index: NDArray[np.int64], colors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Gives each pixel the color (N, 3) of its point, white without one, and averages the oversampled pixels."""
+    """Give each pixel the color (N, 3) of its point, white without one, and average the oversampled pixels."""
     image = np.where(index[..., None] >= 0, colors[index], 1.0)
     height, width = (length // OVERSAMPLING for length in index.shape)
     return image.reshape(height, OVERSAMPLING, width, OVERSAMPLING, 3).mean(axis=(1, 3))

@@ -37,7 +37,7 @@ class BenchmarkCloud:
 
 
 def read_benchmark_cloud(folder: Path, name: str, all_points: bool = False) -> BenchmarkCloud:
-    """Reads a cloud; all its points are evaluated if asked for, or if it has no .pidx file.
+    """Read a cloud; all its points are evaluated if asked for, or if it has no .pidx file.
 
     Raises:
         InputError: a file is unreadable or does not match the others.

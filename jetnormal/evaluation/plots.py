@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def check_plots(folder: Path, overwrite: bool) -> None:
-    """Finds out, before any long computation, whether pictures can be drawn.
+    """Find out, before any long computation, whether pictures can be drawn.
 
     Raises:
         UsageError: Matplotlib is not installed.
@@ -38,7 +38,7 @@ def check_plots(folder: Path, overwrite: bool) -> None:
 
 
 def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Draws all figures that the evaluation has something for; the folder is created, pictures are overwritten.
+    """Draw all figures that the evaluation has something for; the folder is created, pictures are overwritten.
 
     Raises:
         InputError: a picture cannot be written, or the files of a cloud are no longer there.

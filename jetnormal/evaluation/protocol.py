@@ -138,7 +138,7 @@ def evaluate(
     device: str = "auto",
     threads: int | None = None,
 ) -> Evaluation:
-    """Compares estimators by the PCPNet protocol. One cloud is in memory at a time, and all models see it.
+    """Compare estimators by the PCPNet protocol. One cloud is in memory at a time, and all models see it.
 
     Args:
         data: folder in PCPNet's layout: NAME.xyz, NAME.normals and, where not all points count, NAME.pidx.

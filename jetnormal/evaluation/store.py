@@ -73,7 +73,7 @@ class ResultStore:
             return None
 
     def save(self, path: Path, estimate: Estimate) -> None:
-        """Keeps an estimate.
+        """Keep an estimate.
 
         Raises:
             InputError: the file cannot be written.

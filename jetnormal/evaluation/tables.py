@@ -109,7 +109,7 @@ def _thousands(value: float) -> str:
 
 
 def print_tables(tables: list[Table], stream: IO[str]) -> None:
-    """Prints tables with Rich, the best of each column bold; as wide as need be where no terminal sets a width."""
+    """Print tables with Rich, the best of each column bold; as wide as need be where no terminal sets a width."""
     from rich import box
     from rich.console import Console
     from rich.table import Table as RichTable

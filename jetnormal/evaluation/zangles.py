@@ -30,7 +30,7 @@ class ZAngles:
 
 
 def measure_z_angles(estimator: Estimator, cloud: BenchmarkCloud) -> ZAngles | None:
-    """Applies the transform of a patch network to an even selection of the points evaluated.
+    """Apply the transform of a patch network to an even selection of the points evaluated.
 
     Returns:
         The angles; None if the estimator has no learned transform.

@@ -1,1 +1,1 @@
-"""Geometry on plain arrays: arrays in, arrays out; no files, no networks."""
+"""Geometry on plain arrays: neighbors, patches, jets, pyramids, error measures. It knows no files and no networks."""

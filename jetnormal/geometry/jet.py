@@ -19,7 +19,7 @@ MAX_ORDER = 4
 
 @lru_cache
 def exponents(order: int) -> tuple[tuple[int, int], ...]:
-    """The exponents (of x, of y) of the monomials of an n-jet, in the order of the paper's eq. 1."""
+    """Return the exponents (of x, of y) of the monomials of an n-jet, in the order of eq. 1."""
     return tuple((k - j, j) for k in range(order + 1) for j in range(k + 1))
 
 
@@ -29,7 +29,7 @@ class Jet:
 
     Attributes:
         coefficients: (B, T) beta of each monomial of `exponents(order)`, T = (order + 1)(order + 2) / 2.
-        order: n.
+        order: n, the degree of the polynomial.
     """
 
     coefficients: Tensor
@@ -42,11 +42,11 @@ class Jet:
         return torch.nn.functional.normalize(torch.cat([-slope, torch.ones_like(slope[:, :1])], 1), dim=1)
 
     def heights(self, xy: Tensor) -> Tensor:
-        """(B, k) values J(x, y) at (B, k, 2)."""
+        """Evaluate J(x, y) at points (B, k, 2): heights (B, k)."""
         return (monomials(xy, self.order) @ self.coefficients[:, :, None])[:, :, 0]
 
     def normals_at(self, xy: Tensor) -> Tensor:
-        """(B, k, 3) unit normals (-J_x, -J_y, 1) / |.| of the fitted surface at (B, k, 2)."""
+        """Evaluate the unit normals (-J_x, -J_y, 1) / |.| of the fitted surface at points (B, k, 2): (B, k, 3)."""
         powers = [torch.ones_like(xy)]
         for _ in range(self.order - 1):
             powers.append(powers[-1] * xy)
@@ -61,7 +61,7 @@ class Jet:
         return torch.nn.functional.normalize(torch.stack([-slope_x, -slope_y, torch.ones_like(slope_x)], 2), dim=2)
 
     def curvatures(self) -> tuple[Tensor, Tensor]:
-        """Principal curvatures and directions at the origin.
+        """Compute the principal curvatures and directions at the origin.
 
         A curvature is positive where the surface bends towards the normal (a bowl seen from inside), and is zero
         for a jet of order 1. Its unit is the inverse of the unit of x, y and z.
@@ -85,7 +85,7 @@ class Jet:
 
 
 def monomials(xy: Tensor, order: int) -> Tensor:
-    """(..., T) monomials of an n-jet at (..., 2) points."""
+    """Evaluate the T monomials of an n-jet at points (..., 2): (..., T)."""
     x, y = xy[..., 0], xy[..., 1]
     columns = [torch.ones_like(x)]
     for _ in range(order):  # each degree follows from the one before: times x, and the last one times y
@@ -95,17 +95,19 @@ def monomials(xy: Tensor, order: int) -> Tensor:
 
 
 def _triangle_row(count: int) -> int:
-    """Length of the last row of a triangle of `count` = 1, 3, 6, 10, ... entries."""
+    """Return the length of the last row of a triangle of `count` = 1, 3, 6, 10, ... entries."""
     return int(((8 * count + 1) ** 0.5 - 1) / 2)
 
 
 def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Jet:
-    """Fits z = J(x, y) to each patch by weighted least squares: beta = (A^T W A)^-1 A^T W z.
+    """Fit z = J(x, y) to each patch by weighted least squares: beta = (A^T W A)^-1 A^T W z.
 
-    x and y are divided by the patch's weighted mean |x|, |y| before the fit (it is undone in the result), and the
-    normal matrix is built and solved in float64, scaled to a unit diagonal. A tiny fixed ridge keeps degenerate patches
-    (fewer points than monomials, collinear or coincident points) solvable: they get the small solution among the best
-    ones, and a patch whose points all coincide gets the normal (0, 0, 1). Differentiable in points and weights.
+    Before the fit, x and y are divided by their weighted mean absolute value; the result is scaled back. The normal
+    matrix is built and solved in float64, scaled to a unit diagonal.
+
+    A tiny fixed ridge keeps degenerate patches solvable (fewer points than monomials, collinear or coincident points).
+    Of all best fits they get the one with the smallest coefficients; a patch whose points all coincide gets the normal
+    (0, 0, 1). The fit is differentiable in points and weights.
 
     Args:
         points: (B, k, 3) float32 or float64, the query at the origin, z close to the normal.
@@ -124,11 +126,11 @@ def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Je
     scale = (weights[..., None] * xy.abs()).sum((1, 2)) / (2 * total)
     scale = torch.where(scale > 1e-6, scale, torch.ones_like(scale))
 
-    # in float32 the rounding of the products would outweigh the ridge, and two scan lines have no Cholesky factor
+    # In float32, rounding would outweigh the ridge, and points on two parallel lines would have no Cholesky factor.
     design = monomials((xy / scale[:, None, None]).double(), order)  # (B, k, T)
     weighted = (design * (weights / total[:, None])[..., None]).transpose(1, 2)  # (B, T, k)
     degrees = torch.tensor([a + b for a, b in exponents(order)], device=points.device)
-    # In float32 two scan lines do not tell x from x y^2: the smaller ridge says that it is x.
+    # On two parallel lines, float32 points do not tell x from x y^2. A smaller ridge on x prefers x.
     low, high = (1e-9, 1e-6) if points.dtype == torch.float32 else (1e-13, 1e-13)
     ridge = torch.where(degrees > 1, high, low).double()
     beta = _solve(weighted @ design, weighted @ z[..., None].double(), ridge).to(points.dtype)
@@ -136,9 +138,9 @@ def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Je
 
 
 def _solve(matrix: Tensor, right: Tensor, ridge: Tensor) -> Tensor:
-    """Solves (B, T, T) positive semi-definite systems for (B, T, 1) right sides, with a ridge (T,); (B, T)."""
+    """Solve (B, T, T) positive semi-definite systems for (B, T, 1) right sides, with a ridge (T,); (B, T)."""
     scale = matrix.diagonal(dim1=1, dim2=2).clamp_min(1e-30).rsqrt()
-    # a monomial that is zero all over the patch keeps its row; the ridge then sets its coefficient to zero
+    # A monomial that is zero at all points of the patch gets a zero coefficient, by the ridge.
     unit = matrix * scale[:, :, None] * scale[:, None, :]
     unit = unit + torch.diag(ridge)
     solution = torch.cholesky_solve(right * scale[:, :, None], torch.linalg.cholesky_ex(unit)[0])

@@ -1,7 +1,7 @@
-"""How far estimated normals are from true ones, as the PCPNet benchmark and its successors count it.
+"""Errors of estimated normals, as the PCPNet benchmark and its successors measure them.
 
-An estimate without a direction (NaN, infinite or zero) counts as the worst one, 90 degrees without signs and 180
-with them, so that no method gains by refusing a point.
+An estimate without a direction (NaN, infinite or zero) counts as the worst possible: 90 degrees regardless of sign, 180
+degrees with signs. So no method gains by leaving a point out.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 
 def angles(estimated: NDArray[Any], true: NDArray[Any], *, oriented: bool = False) -> NDArray[np.float64]:
-    """Angles between normals, accurate down to rounding (the arc cosine would lose angles below 1e-6 degrees).
+    """Compute the angles between normals.
+
+    They are accurate down to rounding; an arc cosine would lose angles below 1e-6 degrees.
 
     Args:
         estimated: (N, 3) directions of any length.
@@ -38,19 +40,19 @@ def angles(estimated: NDArray[Any], true: NDArray[Any], *, oriented: bool = Fals
 
 
 def rmse(angles: NDArray[Any]) -> float:
-    """Root mean square of angles (N,), in their unit; NaN if there are none."""
+    """Compute the root mean square of angles (N,), in their unit; NaN if there are none."""
     return float(np.sqrt(np.mean(np.square(angles)))) if len(angles) else float("nan")
 
 
 def pgp(angles: NDArray[Any], threshold: float) -> float:
-    """Proportion of good points: the share, 0 to 1, of angles (N,) below the threshold; NaN if there are none."""
+    """Compute the proportion of good points: the share of angles (N,) below the threshold; NaN if there are none."""
     return float(np.mean(angles < threshold)) if len(angles) else float("nan")
 
 
 def auc(angles: NDArray[Any], max_angle: float) -> float:
-    """Mean of the PGP over all thresholds from 0 to max_angle: the area under the curve, 0 to 1.
+    """Compute the area under the curve of PGP over the threshold, from 0 to max_angle: a number from 0 to 1.
 
-    In closed form, each angle a adding max(0, 1 - a / max_angle); NaN if there are none.
+    In closed form it is the mean of max(0, 1 - a / max_angle) over the angles a; NaN if there are none.
 
     Raises:
         ValueError: max_angle is not positive.
@@ -61,7 +63,7 @@ def auc(angles: NDArray[Any], max_angle: float) -> float:
 
 
 def oriented_accuracy(estimated: NDArray[Any], true: NDArray[Any]) -> tuple[float, float]:
-    """The share of normals whose sign is right, as they are and after flipping the whole cloud if that is better.
+    """Compute the share of right signs, as they are and after flipping the whole cloud if that is better.
 
     A sign is right if the angle is below 90 degrees; at 90 degrees, or without a direction, it is wrong either
     way. Both shares are NaN where there are no normals.
@@ -81,7 +83,7 @@ def oriented_accuracy(estimated: NDArray[Any], true: NDArray[Any]) -> tuple[floa
 
 
 def _directions(normals: NDArray[Any]) -> NDArray[np.float64]:
-    """Unit normals (N, 3), NaN where there is no direction; scaled first, so that no length over- or underflows."""
+    """Scale normals (N, 3) to length 1; NaN where there is no direction. No length overflows or underflows."""
     normals = np.asarray(normals, dtype=np.float64)
     if normals.ndim != 2 or normals.shape[1] != 3:
         raise ValueError(f"normals have shape {normals.shape}, but must be (N, 3)")

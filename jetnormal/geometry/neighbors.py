@@ -1,7 +1,7 @@
-"""k nearest neighbors: one index, built once per cloud, used by everyone.
+"""k nearest neighbors.
 
-Two k-d trees stand behind `NeighborIndex`: Open3D's (nanoflann) and SciPy's. A back end only proposes
-candidates; distances and order are computed here, by one formula, so that both give the same answer.
+`NeighborIndex` uses one of two k-d trees: Open3D's (nanoflann) or SciPy's. A tree only proposes candidates; distances
+and their order are computed here, by one formula, so that both give the same answer.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class NeighborIndex:
     duplicate with a smaller index precedes it.
 
     Args:
-        points: (N, 3) finite coordinates, N >= 1, of any offset: they are centred in float64 first.
+        points: (N, 3) finite coordinates, N >= 1, of any offset: they are centered in float64 first.
         threads: threads a query may use; None uses all cores. The answer does not depend on it.
 
     Raises:
@@ -44,8 +44,8 @@ class NeighborIndex:
         if len(points) == 0:
             raise ValueError("points is empty: there is nothing to search")
         # The middle of the box, unlike the mean, does not depend on the order of the points.
-        self._centre = (points.min(axis=0) + points.max(axis=0)) / 2
-        self._points = points - self._centre
+        self._center = (points.min(axis=0) + points.max(axis=0)) / 2
+        self._points = points - self._center
         self._columns = np.ascontiguousarray(self._points.T)
         self._threads = threads
         self._searches: dict[str, Search] = {}
@@ -68,7 +68,7 @@ class NeighborIndex:
         """
         if not 1 <= k <= len(self):
             raise ValueError(f"k is {k}, but must lie between 1 and the number of points, {len(self)}")
-        queries = _checked(queries, "queries") - self._centre
+        queries = _checked(queries, "queries") - self._center
         indices = np.empty((len(queries), k), dtype=np.int64)
         distances = np.empty((len(queries), k))
         rows = max(1, CHUNK_ENTRIES // k)
@@ -114,7 +114,7 @@ class NeighborIndex:
         return indices, distances
 
     def _search_for(self, k: int) -> Search:
-        """The back end for k neighbors: Open3D up to OPEN3D_MAX_K if it is there, else SciPy."""
+        """Choose the back end for k neighbors: Open3D up to OPEN3D_MAX_K if it is there, else SciPy."""
         open3d = import_open3d() if k <= OPEN3D_MAX_K else None
         name = "scipy" if open3d is None else "open3d"
         if name not in self._searches:
@@ -127,7 +127,9 @@ class NeighborIndex:
 
 
 def distinct(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The different points among (N, 3) finite ones: neighborhoods of copies would know nothing of a surface.
+    """Find the different points among finite points (N, 3).
+
+    A neighborhood that holds only copies of one point would say nothing about the surface.
 
     Returns:
         The rows (M,) where each different point comes first, and for each row (N,) which of these it is a copy of.

@@ -1,7 +1,7 @@
 """Patches: the k nearest neighbors of a query, in a frame of their own.
 
-A patch is centred on its query, divided by its radius and turned into the frame of its principal axes, so that a
-network or a jet sees the same thing wherever the patch lies, however large it is and however it is turned.
+A patch is moved so that its query is the origin, divided by its radius, and rotated into its principal axes. What a
+network or a jet sees therefore does not depend on where the patch lies, how large it is and how it is rotated.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ class Patches:
 
     @property
     def spans_plane(self) -> Tensor:
-        """(B,) bool: whether the points are neither collinear nor coincident, so that there is a normal."""
+        """(B,) bool: whether the points span a plane, that is, are neither collinear nor coincident."""
         return self.variance[:, 1] > COLLINEAR * self.variance[:, 0]
 
     def to_cloud(self, vectors: Tensor) -> Tensor:
-        """Turns one vector per patch, (B, 3), from the patch frame into the cloud's frame."""
+        """Rotate one vector per patch, (B, 3), from the patch frame into the cloud's frame."""
         return torch.einsum("bij,bj->bi", self.frame.to(vectors.dtype), vectors)
 
     def to_patch(self, vectors: Tensor) -> Tensor:
-        """Turns (B, k, 3) or (B, 3) vectors from the cloud's frame into the patch frame."""
+        """Rotate vectors (B, k, 3) or (B, 3) from the cloud's frame into the patch frame."""
         return torch.einsum("b...i,bij->b...j", vectors, self.frame.to(vectors.dtype))
 
 
@@ -54,9 +54,10 @@ def build_patches(
     neighbors: NDArray[np.int64],
     dtype: torch.dtype = torch.float32,
 ) -> Patches:
-    """Gathers patches and brings each into its own frame.
+    """Gather patches and bring each into its own frame.
 
-    All is done in float64, so that georeferenced coordinates lose nothing; the result is rounded to `dtype`.
+    Everything is computed in float64, so that large (georeferenced) coordinates lose nothing; the result is rounded to
+    `dtype`.
 
     Args:
         points: (N, 3) the cloud.
@@ -72,11 +73,10 @@ def build_patches(
 
 
 def principal_frame(points: Tensor) -> tuple[Tensor, Tensor]:
-    """The principal axes of each patch as a proper rotation, and the variances along them.
+    """Find the principal axes of each patch, as a proper rotation, and the variances along them.
 
-    An axis is only known up to its sign. The signs are taken from the data, so that a turned patch gets a turned
-    frame: most of the patch lies at positive z, the third moment along x is positive, and y makes the frame
-    right-handed.
+    An axis is only known up to its sign. The data decide it, so that a rotated patch gets a rotated frame: the mean of
+    the patch has a positive z, the third moment along x is positive, and y makes the frame right-handed.
 
     Args:
         points: (B, k, 3) with the query at the origin.
@@ -85,14 +85,14 @@ def principal_frame(points: Tensor) -> tuple[Tensor, Tensor]:
         (B, 3, 3) axes as columns and (B, 3) variances, both by descending variance.
     """
     mean = points.mean(1, keepdim=True)
-    centred = points - mean
-    values, axes = torch.linalg.eigh(centred.transpose(1, 2) @ centred / points.shape[1])  # ascending
+    centered = points - mean
+    values, axes = torch.linalg.eigh(centered.transpose(1, 2) @ centered / points.shape[1])  # ascending
     x, z = axes[:, :, 2], axes[:, :, 0]
     z = z * sign((mean[:, 0] * z).sum(1, keepdim=True))
-    x = x * sign((centred @ x[:, :, None]).pow(3).sum(1))
+    x = x * sign((centered @ x[:, :, None]).pow(3).sum(1))
     return torch.stack([x, torch.linalg.cross(z, x), z], dim=2), values.flip(1).clamp_min(0)
 
 
 def sign(values: Tensor) -> Tensor:
-    """+1 or -1, and +1 at zero."""
+    """Return +1 or -1, and +1 at zero."""
     return torch.where(values < 0, -torch.ones_like(values), torch.ones_like(values))

@@ -1,1 +1,1 @@
-"""Meshes from oriented normals: Poisson reconstruction and what is cut away after it."""
+"""Meshes from oriented normals: Poisson reconstruction, and the cleaning after it."""

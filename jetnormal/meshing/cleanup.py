@@ -1,4 +1,4 @@
-"""What is done to a reconstructed surface: where points support it, cutting, cleaning, and what it is like."""
+"""Clean a reconstructed surface: find what no points support, cut it off, remove defects, transfer colors."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ MERGE_DISTANCE = 1e-9  # of the size of the mesh: vertices as close as this are 
 
 
 def typical_spacing(points: Floats) -> float:
-    """The distance between neighbors, if the points (N, 3), N >= 2, were a regular grid on their surface: the median.
+    """Estimate the distance between neighboring points (N, 3), N >= 2, as if they were a regular grid on the surface.
 
-    A disk to the k-th neighbor holds k points, each on its square of the grid.
+    A disk that reaches to the k-th neighbor holds k grid cells: pi r^2 = k s^2. The result is the median of s.
     """
     k = min(SUPPORT_NEIGHBORS, len(points) - 1)
     _, distances = NeighborIndex(points).query(points, k + 1)
@@ -31,7 +31,10 @@ def typical_spacing(points: Floats) -> float:
 
 
 def remoteness(vertices: Floats, points: Floats) -> Floats:
-    """How far vertices (V, 3) are from the nearest of the points (N, 3), in that point's radius to 8 others; (V,)."""
+    """Measure how far vertices (V, 3) are from the points (N, 3): (V,).
+
+    The distance to the nearest point is divided by that point's own distance to its 8th neighbor.
+    """
     index = NeighborIndex(points)
     _, radii = index.query(points, min(SUPPORT_NEIGHBORS + 1, len(points)))
     nearest, distance = index.query(vertices, 1)
@@ -39,14 +42,14 @@ def remoteness(vertices: Floats, points: Floats) -> Floats:
 
 
 def gap_share(mesh: Mesh, remote: Floats) -> float:
-    """Share of the area, 0 to 1, that bridges gaps: of faces with a vertex whose remoteness (V,) exceeds 3."""
+    """Compute the share of the area that bridges gaps: of faces with a vertex whose remoteness (V,) exceeds 3."""
     area = np.linalg.norm(mesh.area_vectors(), axis=1)
     bridging = (remote[mesh.faces] > GAP_RADII).any(axis=1)
     return float(area[bridging].sum() / max(area.sum(), 1e-300))
 
 
 def clip(mesh: Mesh, values: Floats, threshold: float) -> Mesh:
-    """The part of a mesh where values (V,), linear on each face, are at least the threshold; without colors.
+    """Cut a mesh where values (V,), linear on each face, fall below the threshold; colors are dropped.
 
     Faces across the threshold are cut along it.
     """
@@ -73,12 +76,12 @@ def clip(mesh: Mesh, values: Floats, threshold: float) -> Mesh:
 
 
 def _turned(faces: Ints, first: Ints) -> Ints:
-    """The same faces (F, 3), each beginning with its corner number `first` (F,)."""
+    """Rotate the corners of faces (F, 3) so that corner number `first` (F,) comes first."""
     return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
 
 
 def cleaned(mesh: Mesh) -> Mesh:
-    """The mesh with vertices at one place merged, and without degenerate faces, copies of faces and loose vertices."""
+    """Merge vertices at the same place; remove degenerate faces, copies of faces, and loose vertices."""
     vertices, faces, colors = mesh.vertices, mesh.faces, mesh.colors
     if len(vertices):
         cell = max(float(np.ptp(vertices, axis=0).max()) * MERGE_DISTANCE, 1e-300)
@@ -93,7 +96,7 @@ def cleaned(mesh: Mesh) -> Mesh:
 
 
 def without_specks(mesh: Mesh, points: Floats) -> Mesh:
-    """The mesh without components that are nearest to fewer than 30 of the points (N, 3); the largest one stays."""
+    """Remove components that are nearest to fewer than 30 of the points (N, 3); the largest one stays."""
     labels = component_labels(mesh)
     if not len(labels):
         return mesh
@@ -112,7 +115,7 @@ def _without_loose_vertices(mesh: Mesh) -> Mesh:
 
 
 def component_labels(mesh: Mesh) -> Ints:
-    """For each vertex (V,) the number of the connected component that it belongs to, from 0."""
+    """Number the connected components: for each vertex (V,) its component, from 0."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -122,7 +125,7 @@ def component_labels(mesh: Mesh) -> Ints:
 
 
 def is_watertight(mesh: Mesh) -> bool:
-    """Whether every edge has two faces, one on each side."""
+    """Tell whether every edge has two faces, one on each side."""
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     ways = edges[:, 0] * len(mesh.vertices) + edges[:, 1]
     back = edges[:, 1] * len(mesh.vertices) + edges[:, 0]
@@ -130,7 +133,10 @@ def is_watertight(mesh: Mesh) -> bool:
 
 
 def carried(values: Floats, points: Floats, vertices: Floats) -> Floats:
-    """Values (N, C) of points (N, 3) at vertices (V, 3): of the nearest four, weighted by inverse squared distance."""
+    """Transfer values (N, C) from points (N, 3) to vertices (V, 3).
+
+    The four nearest points count, weighted by the inverse squared distance.
+    """
     index, distance = NeighborIndex(points).query(vertices, min(4, len(points)))
     weight = 1 / np.maximum(distance, 1e-3 * distance.mean(axis=1, keepdims=True) + 1e-300) ** 2
     weight /= weight.sum(axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""How far one surface is from another, as samples of the two tell."""
+"""Distances between two surfaces, measured on samples of both."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class SurfaceDistance(NamedTuple):
     """Two surfaces compared, in both directions.
 
     Attributes:
-        chamfer: L2 Chamfer distance, the mean squared distance from each sample of one surface to the nearest of the
-            other, both ways added up; in the square of the unit. Samples of one and the same surface have one, too,
-            about 2 / pi over the samples per area.
-        normal_consistency: mean of |n.n'| between nearest samples, over both ways; 1 at best.
+        chamfer: L2 Chamfer distance: the mean squared distance from each sample of one surface to the nearest sample
+            of the other, added up over both directions; in the square of the unit. It is not zero for two samples of
+            the same surface, but about 2 / pi divided by the number of samples per area.
+        normal_consistency: mean of |n.n'| between nearest samples, over both directions; 1 at best.
     """
 
     chamfer: float
@@ -27,7 +27,7 @@ class SurfaceDistance(NamedTuple):
 
 
 def surface_distance(first: Samples, second: Samples) -> SurfaceDistance:
-    """Compares two surfaces by samples of each: points (N, 3) and unit normals (N, 3)."""
+    """Compare two surfaces by samples of each: points (N, 3) and unit normals (N, 3)."""
     one_way, other_way = _one_way(first, second), _one_way(second, first)
     return SurfaceDistance(one_way[0] + other_way[0], (one_way[1] + other_way[1]) / 2)
 

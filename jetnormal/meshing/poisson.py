@@ -1,8 +1,7 @@
-"""Screened Poisson reconstruction (Kazhdan and Hoppe, 2013), as Open3D has it, in a process of its own.
+"""Screened Poisson reconstruction (Kazhdan and Hoppe, 2013) by Open3D, in a process of its own.
 
-Open3D's solver can end the whole process, more often with several threads: a child takes that in its place. It is a
-fresh interpreter, not a fork, for Open3D's threads do not outlive one, and not `multiprocessing`, which would run the
-caller's script again.
+Open3D's solver can crash and end the process, more often on several threads. So it runs in a child process: a fresh
+interpreter. A fork would lose Open3D's threads, and `multiprocessing` would run the caller's script again.
 """
 
 from __future__ import annotations
@@ -44,20 +43,20 @@ def poisson(
     scale: float = 1.1,
     threads: int | None = None,
 ) -> Reconstruction:
-    """The surface that oriented points suggest, closed off or running out where they end.
+    """Reconstruct a surface from oriented points; it also extends beyond where the points end.
 
     If the solver crashes on several threads, it is run once more on one.
 
     Args:
         points: (N, 3) finite coordinates.
         normals: (N, 3) unit vectors.
-        depth: of the octree: its finest cells have 1 / 2^depth of the side of the cube that is solved for.
-        scale: side of that cube over the longest side of the points' box.
-        threads: None for all cores. More than one give the vertices in an order that changes from run to run.
+        depth: depth of the octree; the sides of its finest cells are 1 / 2^depth of the cube.
+        scale: side of the cube over the longest side of the points' box.
+        threads: None for all cores. On more than one, the order of the vertices changes from run to run.
 
     Returns:
-        Vertices (V, 3), faces (F, 3) counter-clockwise seen from outside, and density (V,), the depth in the octree
-        that matches the spacing of the points around: one more for every halving.
+        Vertices (V, 3), faces (F, 3) counter-clockwise seen from outside, and density (V,): the depth in the octree
+        that matches the spacing of the points around, one more for every halving of the spacing.
 
     Raises:
         ResourceError: Open3D is not there, or its solver has crashed on one thread, too.
@@ -79,7 +78,7 @@ def poisson(
 
 
 def _run(*arguments: str) -> str | None:
-    """Run `_work` in a child; what went wrong, or None."""
+    """Run `_work` in a child process; return what went wrong, or None."""
     command = [sys.executable, "-I", "-c", _PROGRAM, json.dumps(sys.path), *arguments]
     # An exception in here, such as an interrupt, ends the child.
     child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
@@ -91,7 +90,7 @@ def _run(*arguments: str) -> str | None:
 
 
 def _work(folder: str, depth: str, scale: str, threads: str) -> None:
-    """What the child does: arrays from a file, Open3D, arrays to a file."""
+    """Do the child's work: read arrays from a file, run Open3D, write arrays to a file."""
     open3d: Any = import_open3d()
     with np.load(Path(folder, _INPUT)) as arrays:
         cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(arrays["points"]))
@@ -108,7 +107,7 @@ def _work(folder: str, depth: str, scale: str, threads: str) -> None:
 
 
 def _end_with_parent() -> None:
-    """Have the system end this process when its parent is killed, where the system can (Linux)."""
+    """Ask the system to end this process when its parent is killed (Linux only)."""
     if sys.platform == "linux":
         import ctypes
         import signal

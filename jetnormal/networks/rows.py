@@ -21,7 +21,7 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def for_rows(work: Callable[[slice], object], count: int, chunk: int = CHUNK) -> None:
-    """Calls work(rows) for the rows 0 to count, in chunks whose size does not depend on the number of threads.
+    """Call work(rows) for the rows 0 to count, in chunks whose size does not depend on the number of threads.
 
     The threads are as many as `torch.get_num_threads`; inside, each has PyTorch to itself.
     """

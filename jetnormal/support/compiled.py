@@ -7,9 +7,9 @@ from typing import Any
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compiles a function of numbers and arrays; it runs without the interpreter lock.
+    """Compile a function of numbers and arrays; it runs without the interpreter lock.
 
-    Sums may be reordered and products fused, but NaN and infinity mean what they mean. The machine code is kept beside
+    Sums may be reordered and products fused, but NaN and infinity are respected. The machine code is kept beside
     the module, else in the user's cache folder; where neither can be written, each process compiles anew.
     """
     from numba import njit

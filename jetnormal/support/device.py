@@ -15,7 +15,7 @@ _Out = TypeVar("_Out")
 
 
 def resolve_device(text: str) -> str:
-    """The device that a user asked for, in PyTorch's words.
+    """Translate the device that a user asked for into PyTorch's name.
 
     Args:
         text: "auto" (the first CUDA device, else the CPU), "cpu", "cuda" or "cuda:N".
@@ -39,7 +39,7 @@ def resolve_device(text: str) -> str:
 
 
 def multiplies_bfloat16(device: str) -> bool:
-    """Whether a device is a CPU that multiplies bfloat16 matrices faster than float32 ones."""
+    """Tell whether a device is a CPU that multiplies bfloat16 matrices faster than float32 ones."""
     import torch
 
     capabilities: dict[str, object] = getattr(torch.cpu, "get_capabilities", dict)()  # newer versions have it
@@ -48,7 +48,7 @@ def multiplies_bfloat16(device: str) -> bool:
 
 @contextmanager
 def torch_threads(threads: int | None) -> Iterator[None]:
-    """Runs PyTorch on a number of CPU threads inside the block; None leaves it alone."""
+    """Run PyTorch on a number of CPU threads inside the block; None leaves it alone."""
     import torch
 
     before = torch.get_num_threads()
@@ -61,14 +61,14 @@ def torch_threads(threads: int | None) -> Iterator[None]:
 
 
 def worker_pool(threads: int | None) -> ThreadPoolExecutor:
-    """As many threads, or PyTorch's number for None, in each of which PyTorch itself runs on one."""
+    """Make a pool of threads (None: as many as PyTorch has); inside each, PyTorch runs on one thread."""
     import torch
 
     return ThreadPoolExecutor(threads or torch.get_num_threads(), initializer=torch.set_num_threads, initargs=(1,))
 
 
 def in_order(pool: ThreadPoolExecutor, function: Callable[[_In], _Out], arguments: Iterable[_In]) -> Iterator[_Out]:
-    """As the pool's own map, but an interrupt drops what has not begun."""
+    """Map a function over arguments in order, like the pool's own map; an interrupt drops what has not begun."""
     futures = [pool.submit(function, argument) for argument in arguments]
     try:
         for future in futures:

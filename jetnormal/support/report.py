@@ -1,4 +1,4 @@
-"""What a user sees of a running job: log lines and progress on stderr, a JSON summary on stdout, timings."""
+"""Reports to the user: log lines and progress on stderr, a JSON summary on stdout, timings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOG_INTERVAL = 10.0  # seconds between the progress lines of a job that no termi
 
 
 class Advance(Protocol):
-    """Tells a progress display that `count` more units are done, and what to show beside it, such as a loss."""
+    """Tell a progress display that `count` more units are done, and what to show beside it, such as a loss."""
 
     def __call__(self, count: int, note: str = "") -> None: ...
 
@@ -40,7 +40,7 @@ class _StderrHandler(logging.Handler):
 
 
 def configure_logging(verbosity: int) -> None:
-    """Send the package's log to stderr: errors only at -1, information too at 0, debug messages too at 1."""
+    """Send the package's log to stderr: errors only (-1), information too (0), or debug messages too (1)."""
     if not any(isinstance(handler, _StderrHandler) for handler in logger.handlers):
         logger.addHandler(_StderrHandler())
         logger.propagate = False
@@ -153,7 +153,7 @@ def print_json(summary: Mapping[str, Any]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON has it: NumPy's scalars and arrays as numbers with six digits, NaN as null, paths as text."""
+    """Convert a value for JSON: NumPy scalars and arrays to numbers with six digits, NaN to null, paths to text."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, Mapping):

@@ -71,7 +71,7 @@ class Solid:
         return self._combined(np.stack([part.contains(points) for part in self.parts]))
 
     def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Returns `count` points uniform over the surface, (count, 3), and their outward unit normals.
+        """Return `count` points uniform over the surface, (count, 3), and their outward unit normals.
 
         Raises:
             ValueError: Nothing of the solid is left.
@@ -107,7 +107,7 @@ class Solid:
         return result
 
     def _surviving(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Draws `count` points from the parts in random order and keeps those on the surface of the solid."""
+        """Draw `count` points from the parts in random order and keep those on the surface of the solid."""
         kept = []
         for own, share in enumerate(rng.multinomial(count, self._shares)):
             points, normals = self.parts[own].sample(share, rng)

@@ -1,7 +1,7 @@
-"""Analytic primitives: each samples its surface uniformly with exact normals and knows its inside.
+"""Analytic primitives: each can sample its surface uniformly with exact normals, and tells inside from outside.
 
-All are centred at the origin with a size of about one. Their sizes are free, so that one class stands for
-a family: see `RoundedBox` (box, plate, capsule, sphere), `Lathe` (cylinder, cone, vase) and so on.
+All are centered at the origin and about one unit large. One class makes a family of shapes: `RoundedBox` makes boxes,
+plates, capsules and spheres, `Lathe` makes cylinders, cones and vases.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Primitive(Protocol):
         ...
 
     def sample(self, count: int, rng: np.random.Generator, /) -> tuple[Floats, Floats]:
-        """Returns points uniform over the surface, (count, 3), in any order, and outward unit normals."""
+        """Return points uniform over the surface, (count, 3), in any order, and outward unit normals."""
         ...
 
     def implicit(self, points: Floats, /) -> Floats:
@@ -44,16 +44,16 @@ class Primitive(Protocol):
 class RoundedBox:
     """All points within `radius` of a box: a box, plate, rod with round edges, capsule or sphere."""
 
-    # Which components of the normal vary over a group of faces: 3 pairs of flat faces, the quarter cylinders
-    # around the edges along x, y and z, and the 8 sphere octants at the corners.
+    # The surface has seven groups of faces: three pairs of flat faces, the quarter cylinders around the edges along
+    # x, y and z, and the eight sphere octants at the corners. True: this component of the normal varies in the group.
     _MOVING = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0], [1, 1, 1]], dtype=bool)
 
     def __init__(self, half: ArrayLike, radius: float = 0.0) -> None:
-        """Sets the sizes.
+        """Set the sizes.
 
         Args:
             half: (3,) half sizes of the inner box; zeros are allowed with a positive radius.
-            radius: Of the rounded edges; 0 gives sharp edges.
+            radius: radius of the rounded edges; 0 gives sharp edges.
         """
         self._half = np.asarray(half, dtype=np.float64)
         self._radius = radius
@@ -97,12 +97,12 @@ class RoundedCylinder:
     """All points within `radius` of a cylinder around z: a disc or drum with filleted rims."""
 
     def __init__(self, core: float, half_height: float, radius: float) -> None:
-        """Sets the sizes.
+        """Set the sizes.
 
         Args:
-            core: Radius of the inner cylinder.
-            half_height: Of the inner cylinder.
-            radius: Of the fillets.
+            core: radius of the inner cylinder.
+            half_height: half the height of the inner cylinder.
+            radius: radius of the fillets.
         """
         self._core, self._half_height, self._radius = core, half_height, radius
         caps = 2 * np.pi * core**2
@@ -141,11 +141,11 @@ class Torus:
     """A ring around z."""
 
     def __init__(self, major: float, minor: float) -> None:
-        """Sets the sizes.
+        """Set the sizes.
 
         Args:
-            major: Radius of the centre circle, larger than `minor`.
-            minor: Radius of the tube.
+            major: radius of the center circle, larger than `minor`.
+            minor: radius of the tube.
         """
         self._major, self._minor = major, minor
         self.area = 4 * np.pi**2 * major * minor
@@ -153,8 +153,8 @@ class Torus:
     def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """See `Primitive.sample`."""
         tilt = _arc_angles(self._major, self._minor, np.pi, count, rng)
-        centre = np.full(count, self._major)
-        return _revolve(centre, np.zeros(count), np.cos(tilt), np.sin(tilt), self._minor, rng)
+        center = np.full(count, self._major)
+        return _revolve(center, np.zeros(count), np.cos(tilt), np.sin(tilt), self._minor, rng)
 
     def implicit(self, points: Floats) -> Floats:
         """See `Primitive.implicit`; this is the signed distance."""
@@ -182,7 +182,7 @@ class Lathe:
         frequency: float = 0.0,
         phase: float = 0.0,
     ) -> None:
-        """The profile must not be negative between -half_height and half_height."""
+        """Set the profile, which must not be negative between -half_height and half_height."""
         self._half_height = half_height
         self._base, self._slope = base, slope
         self._amplitude, self._frequency, self._phase = amplitude, frequency, phase
@@ -236,7 +236,7 @@ class ConvexPolyhedron:
     """The convex hull of points: a prism, wedge, pyramid or an irregular block."""
 
     def __init__(self, vertices: ArrayLike) -> None:
-        """Takes the hull of `vertices`, (V, 3), which are around the origin and not all in one plane."""
+        """Take the hull of `vertices`, (V, 3), which are around the origin and not all in one plane."""
         hull = ConvexHull(np.asarray(vertices, dtype=np.float64))
         corners = hull.points[hull.simplices]
         self._corners = corners
@@ -271,13 +271,13 @@ def rejected(
     count: int,
     rng: np.random.Generator,
 ) -> Floats:
-    """Draws `count` proposals, each kept with its acceptance probability (at most 1).
+    """Draw `count` values by rejection sampling.
 
     Args:
-        propose: Gives as many proposals as asked for, along the first axis.
-        acceptance: Gives their probabilities.
-        count: Number of proposals to return.
-        rng: Source of randomness.
+        propose: returns as many proposals as asked for, along the first axis.
+        acceptance: returns the probability of each to be kept.
+        count: number of proposals to return.
+        rng: source of randomness.
     """
     kept = propose(0)
     rate = 0.5
@@ -290,32 +290,35 @@ def rejected(
 
 
 def normalized(vectors: Floats) -> Floats:
-    """Vectors (N, 3) at length one."""
+    """Scale vectors (N, 3) to length one."""
     return vectors / np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]  # much faster than linalg.norm
 
 
 def _revolve(
     rho: Floats, z: Floats, outward: Floats, upward: Floats, radius: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Turns points (rho, z), moved by `radius` along normals (outward, upward), by random angles around z."""
+    """Make a surface of revolution from points (rho, z) of a profile, each turned by a random angle around z.
+
+    The points are moved by `radius` along their normals (outward, upward) first.
+    """
     angle = rng.uniform(0, 2 * np.pi, len(rho))
     cos, sin = np.cos(angle), np.sin(angle)
     normals = np.stack([outward * cos, outward * sin, upward], axis=1)
     return np.stack([rho * cos, rho * sin, z], axis=1) + radius * normals, normals
 
 
-def _arc_angles(centre: float, radius: float, reach: float, count: int, rng: np.random.Generator) -> Floats:
-    """Angles in [-reach, reach] on a circle at `centre` in the half plane, uniform by area once revolved."""
+def _arc_angles(center: float, radius: float, reach: float, count: int, rng: np.random.Generator) -> Floats:
+    """Draw angles in [-reach, reach] on a circle around rho = `center`, uniform by area once revolved."""
     return rejected(
         lambda n: rng.uniform(-reach, reach, n),
-        lambda tilt: (centre + radius * np.cos(tilt)) / (centre + radius),
+        lambda tilt: (center + radius * np.cos(tilt)) / (center + radius),
         count,
         rng,
     )
 
 
 def _distance_to_corner(offsets: Floats) -> Floats:
-    """Signed distance to the orthant offsets <= 0, (N,) from (N, D)."""
+    """Compute the signed distance (N,) from offsets (N, D) to the corner region where all of them are negative."""
     outside = np.maximum(offsets, 0)
     largest = reduce(np.maximum, offsets.T)  # much faster than max(axis=1)
     return np.sqrt(np.einsum("ij,ij->i", outside, outside)) + np.minimum(largest, 0)

@@ -26,7 +26,7 @@ from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
 
 
 def random_solid(rng: np.random.Generator) -> Solid:
-    """Draws a solid of one to seven parts, with a size of about one to three, at a random place."""
+    """Draw a solid of one to seven parts, with a size of about one to three, at a random place."""
     recipes: list[Callable[[np.random.Generator], list[Part]]] = [
         _assembly,
         _machined,

@@ -1,4 +1,4 @@
-"""Smooth primitives r(direction) around the origin: ellipsoids, superellipsoids and bumpy spheres."""
+"""Smooth primitives around the origin, a radius for each direction: ellipsoids, superellipsoids and bumpy spheres."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Superellipsoid(StarShaped):
     """sum |x_i / a_i|^p <= 1: an ellipsoid for p = 2, nearer to a box the larger p is."""
 
     def __init__(self, semi_axes: ArrayLike, exponent: float = 2.0) -> None:
-        """Sets the (3,) positive semi-axes and the exponent, at least 2."""
+        """Set the (3,) positive semi-axes and the exponent, at least 2."""
         self._semi_axes = np.asarray(semi_axes, dtype=np.float64)
         self._exponent = exponent
         super().__init__()
@@ -82,7 +82,7 @@ class BumpySphere(StarShaped):
     """The unit sphere with plane waves on it: r(u) = 1 + sum a_k sin(w_k . u + phase_k)."""
 
     def __init__(self, amplitudes: ArrayLike, waves: ArrayLike, phases: ArrayLike) -> None:
-        """Sets K waves.
+        """Set K waves.
 
         Args:
             amplitudes: (K,), absolute values adding up to less than 1.

@@ -1,4 +1,4 @@
-"""Normal error estimation: the residual that no fit can remove, learned (Du et al., CVPR 2023, section 4.3)."""
+"""The learned correction of a fitted normal ("normal error estimation", Du et al., CVPR 2023, section 4.3)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jetnormal.networks.patchfit.layers import PointLayer
 
 
 class NormalError(nn.Module):
-    """Adds a residual in (-1, 1)^3 to the rough normal, and normalises: n = n_c + phi([features, n_c]).
+    """Add a residual in (-1, 1)^3 to the rough normal, and normalize: n = n_c + phi([features, n_c]).
 
     The residual of the query comes from the patch's pooled features, those of its neighbors, which only training asks
     for, from their own.

@@ -1,4 +1,4 @@
-"""DeepFit's weight predictor (Ben-Shabat and Gould, ECCV 2020): a PointNet that says how far to trust each neighbor."""
+"""DeepFit's weight predictor (Ben-Shabat and Gould, ECCV 2020): a PointNet that gives each neighbor a weight."""
 
 from __future__ import annotations
 

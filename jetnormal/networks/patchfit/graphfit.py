@@ -101,7 +101,7 @@ class Edges(nn.Module):
 
 
 class AdaptiveGate(nn.Module):
-    """Mixes two features of each point by one share a channel, read from the mean of their sum over the patch."""
+    """Mix two features of each point by one share a channel, read from the mean of their sum over the patch."""
 
     def __init__(self, channels: int, reduction: int = 8) -> None:
         super().__init__()

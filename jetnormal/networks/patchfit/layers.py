@@ -1,4 +1,4 @@
-"""Layers that the networks share. Features are (..., channels), a row a point: a layer is one matrix product."""
+"""Layers that the networks share. Features are arrays (..., channels) with a row for each point."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from jetnormal.networks.patchfit.selection import every_nth, farthest_points, sm
 
 
 class PointLayer(nn.Module):
-    """A linear map of each point's features, batch normalisation, activation: (..., C_in) to (..., C_out).
+    """A linear map of each point's features, batch normalization, activation: (..., C_in) to (..., C_out).
 
-    The activation must not fall anywhere, so that it and a maximum can change places.
+    The activation must be monotonic, so that it commutes with a maximum.
     """
 
     def __init__(self, inputs: int, outputs: int, activation: nn.Module | None = None, bias: bool = True) -> None:
@@ -27,34 +27,34 @@ class PointLayer(nn.Module):
         return self.finish(self.linear(features))
 
     def finish(self, products: Tensor) -> Tensor:
-        """Normalises and activates what the linear map gave."""
+        """Normalize and activate the output of the linear map."""
         rows = self.norm(products.flatten(0, -2))
         return self.activation(rows).view(products.shape)
 
     def peak(self, features: Tensor) -> Tensor:
-        """The maximum of the layer's outputs over the points, (..., k, C_in) to (..., C_out)."""
-        if self._folded:  # one addition and one activation a patch instead of one a point
+        """Apply the layer and take the maximum over the points: (..., k, C_in) to (..., C_out)."""
+        if self._folded:  # one addition and one activation for a patch, not for each point
             return self.activation(linear_peak(self.linear, features))
         return maximum(self.forward(features), -2)
 
     def split(self, shared: Tensor, features: Tensor) -> Tensor:
-        """The layer on `cat([shared, features])` without building it.
+        """Apply the layer to `cat([shared, features])` without building that.
 
-        A row of `shared`, (..., C_shared), belongs to all k points of `features`, (..., k, C): its part of the
-        product is computed once instead of k times. The result is the same up to rounding.
+        A row of `shared`, (..., C_shared), belongs to all k points of `features`, (..., k, C). Its part of the product
+        is computed once instead of k times; the result is the same up to rounding.
         """
         once, products = self._products(shared, features)
         return self.finish(products.add_(once[..., None, :]))
 
     def split_peak(self, shared: Tensor, features: Tensor) -> Tensor:
-        """`maximum(split(shared, features), -2)`: (..., C_shared) and (..., k, C) to (..., C_out)."""
+        """Compute `maximum(split(shared, features), -2)`: (..., C_shared) and (..., k, C) to (..., C_out)."""
         if self._folded:
             once, products = self._products(shared, features)
             return self.activation(maximum(products, -2).add_(once))
         return maximum(self.split(shared, features), -2)
 
     def fold(self) -> None:
-        """Moves the normalisation into the linear map: the same function in evaluation mode, in one step."""
+        """Move the normalization into the linear map: the same function in evaluation mode, in one step."""
         if isinstance(self.norm, nn.BatchNorm1d):
             norm, linear = self.norm, self.linear
             assert norm.running_mean is not None and norm.running_var is not None
@@ -77,7 +77,7 @@ class PointLayer(nn.Module):
 
 
 def maximum(features: Tensor, axis: int) -> Tensor:
-    """The maximum over an axis. Forwards amax is the faster one, backwards max, which remembers where it was."""
+    """Take the maximum over an axis: by amax, which is faster, or with gradients by max, which remembers the place."""
     return features.max(axis).values if features.requires_grad else features.amax(axis)
 
 
@@ -87,7 +87,7 @@ def linear_peak(linear: nn.Linear, features: Tensor) -> Tensor:
 
 
 def full_precision(tensor: Tensor) -> torch.autocast:
-    """Switches automatic mixed precision off for what must not run in half precision: `with full_precision(x): ...`"""
+    """Switch automatic mixed precision off inside the block, for what needs full precision."""
     return torch.autocast(tensor.device.type, enabled=False)
 
 
@@ -97,14 +97,14 @@ def point_layers(widths: Sequence[int]) -> nn.Sequential:
 
 
 def gather(features: Tensor, indices: Tensor) -> Tensor:
-    """Rows of (B, n, C) features at (B, ...) indices: (B, ..., C)."""
+    """Gather the rows of features (B, n, C) at indices (B, ...): (B, ..., C)."""
     count, channels = features.shape[1:]
     rows = flat_indices(indices, count).flatten()
     return features.reshape(-1, channels).index_select(0, rows).view(*indices.shape, channels)
 
 
 def flat_indices(indices: Tensor, count: int) -> Tensor:
-    """Indices (B, ...) into the n rows of each of B patches, as indices into all B n rows."""
+    """Convert indices (B, ...) into the n rows of each patch to indices into all B n rows."""
     first = torch.arange(indices.shape[0], device=indices.device) * count
     return indices + first.view(-1, *[1] * (indices.dim() - 1))
 
@@ -124,7 +124,7 @@ def nearest(points: Tensor, queries: Tensor, k: int) -> Tensor:
 class EdgeConv(nn.Module):
     """Edge convolution over a k-nearest-neighbor graph in feature space (Wang et al., DGCNN, 2019).
 
-    An edge carries [centre - neighbor, centre]; three maps, the first two with batch normalisation and LeakyReLU(0.2),
+    An edge carries [centre - neighbor, centre]; three maps, the first two with batch normalization and LeakyReLU(0.2),
     then the maximum over the neighbors. Every point is its own neighbor.
     """
 

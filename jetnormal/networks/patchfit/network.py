@@ -83,7 +83,7 @@ CONFIGS = {
 
 @dataclass(frozen=True)
 class PatchPrediction:
-    """What the network says of B patches; normals are unit vectors in the patch frame, their signs arbitrary.
+    """The output of the network for B patches. Normals are unit vectors in the patch frame, of arbitrary sign.
 
     Attributes:
         rotation: (B, 3, 3) z-direction transform, `points @ rotation` has the normal near z.
@@ -126,7 +126,7 @@ class PatchFit(nn.Module):
         self.correction = NormalError(self.weights.channels) if config.correction else None
 
     def forward(self, points: Tensor, iterations: int = 1, neighbors: bool = False) -> PatchPrediction:
-        """Predicts the normals of patches.
+        """Predict the normals of patches.
 
         Args:
             points: (B, k, 3) patches in their own frame (`geometry.patches`).
@@ -173,7 +173,7 @@ class PatchFit(nn.Module):
         )
 
     def for_inference(self) -> PatchFit:
-        """Evaluation mode, without gradients, batch normalisation folded into the linear maps; not to be saved again.
+        """Evaluation mode, without gradients, batch normalization folded into the linear maps; not to be saved again.
 
         Returns itself.
         """
@@ -185,11 +185,11 @@ class PatchFit(nn.Module):
 
 
 def _turned_back(normals: Tensor, rotation: Tensor) -> Tensor:
-    """(B, n, 3) normals of the rotated frame in the patch frame."""
+    """Rotate normals (B, n, 3) back from the rotated frame into the patch frame."""
     with full_precision(rotation):
         return normals @ rotation.transpose(1, 2)
 
 
 def parameter_count(module: nn.Module) -> int:
-    """Number of trainable values."""
+    """Count the trainable values."""
     return sum(p.numel() for p in module.parameters() if p.requires_grad)

@@ -1,4 +1,4 @@
-"""Which points of a patch are taken: by compiled loops on a CPU, by PyTorch's operations on a GPU."""
+"""Selection of points of a patch: by compiled loops on a CPU, by PyTorch operations on a GPU."""
 
 from __future__ import annotations
 

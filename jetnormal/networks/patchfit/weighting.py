@@ -1,4 +1,4 @@
-"""What a weight predictor says of a patch, and the part that all of them end in."""
+"""The output of a weight predictor, and the last layers that all of them share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WEIGHT_FLOOR = 0.01  # no neighbor is ruled out, so that every fit keeps full ra
 
 @dataclass(frozen=True)
 class Weighting:
-    """What a weight predictor says of B patches: how to fit a jet to their m nearest points, m <= k.
+    """The output of a weight predictor for B patches: how to fit a jet to their m nearest points, m <= k.
 
     Attributes:
         weights: (B, m) in (0.01, 1.01).
@@ -43,7 +43,7 @@ class WeightPredictor(nn.Module):
     batch = 16
 
     def add_head(self, summary: int, local: int, width: float, offsets: bool) -> None:
-        """Adds the layers from `summary` channels of a patch and `local` ones of a point to weights and offsets."""
+        """Add the layers from `summary` channels of a patch and `local` ones of a point to weights and offsets."""
         h1, h2, h3 = (scaled(c, width) for c in (512, 256, 128))
         self.first = PointLayer(summary + local, h1, nn.ReLU(inplace=True))
         self.head = point_layers([h1, h2, h3])

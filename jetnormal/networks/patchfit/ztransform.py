@@ -75,14 +75,14 @@ class FeatureTransform(nn.Module):
 
 
 def summary(layers: nn.Sequential, features: Tensor) -> Tensor:
-    """The maximum over the points of what a chain of point layers gives, (B, k, C_in) to (B, C_out)."""
+    """A chain of point layers, then the maximum over the points: (B, k, C_in) to (B, C_out)."""
     last = layers[-1]
     assert isinstance(last, PointLayer)
     return last.peak(layers[:-1](features))
 
 
 def scaled(channels: int, width: float) -> int:
-    """A channel count times the width of the network, a multiple of 8."""
+    """Scale a channel count by the width of the network, rounded to a multiple of 8."""
     return max(8, 8 * round(channels * width / 8))
 
 
@@ -92,7 +92,7 @@ def quaternion_head(*widths: int) -> nn.Sequential:
 
 
 def zero_linear(inputs: int, outputs: int) -> nn.Linear:
-    """A linear map that starts as zero."""
+    """Make a linear map whose weights start at zero."""
     linear = nn.Linear(inputs, outputs)
     nn.init.zeros_(linear.weight)
     nn.init.zeros_(linear.bias)
