@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 import jetnormal
 
@@ -98,8 +99,7 @@ def test_installed_program_runs_the_installed_package(programs, tmp_path):
 
 @pytest.mark.parametrize("model", ["jet", *MODELS])
 def test_installed_program_estimates_in_another_folder(model, programs, tmp_path):
-    points = np.random.default_rng(0).normal(size=(600, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points = sphere(600)
     np.savetxt(tmp_path / "sphere.xyz", points, fmt="%.9f")
     run(programs / "jetnormal", "estimate", "sphere.xyz", "-o", "out.xyz", "--model", model, cwd=tmp_path)
     out = np.loadtxt(tmp_path / "out.xyz")

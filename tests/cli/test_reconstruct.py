@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 from jetnormal import Cloud, formats
 from jetnormal.formats.meshes import read_mesh
@@ -38,9 +39,7 @@ def test_a_real_scan_becomes_a_colored_mesh(tmp_path):
 
 
 def test_the_library_is_found_and_the_user_s_files_are_not_imported(tmp_path):
-    sphere = np.random.default_rng(0).normal(size=(500, 3))
-    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
-    formats.write(Cloud(sphere, sphere), tmp_path / "in.xyz")
+    formats.write(Cloud(sphere(500), sphere(500)), tmp_path / "in.xyz")
     (tmp_path / "json.py").write_text("raise SystemExit('imported from the current folder')")
     program = [sys.executable, "-P" if sys.version_info >= (3, 11) else "-I", *PROGRAM[1:]]
     result = subprocess.run(
@@ -82,8 +81,7 @@ def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(tmp_path, mo
 
 
 def test_estimate_makes_a_mesh_in_one_pass(tmp_path):
-    sphere = np.random.default_rng(0).normal(size=(500, 3))
-    formats.write(Cloud(sphere / np.linalg.norm(sphere, axis=1, keepdims=True)), tmp_path / "in.xyz")
+    formats.write(Cloud(sphere(500)), tmp_path / "in.xyz")
     result = jetnormal(
         "estimate", tmp_path / "in.xyz", "-o", tmp_path / "out.ply", "--mesh", tmp_path / "m.stl", "--model", "jet",
         "--json",

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 from jetnormal.cli.app import main
 from jetnormal.data.sources import MeshFolder, Mixture, PcpnetFolder, SyntheticSolids
@@ -29,8 +30,7 @@ TINY += [part for name, value in SMALL.items() for part in ("--set", f"{name}={v
 def pcpnet(tmp_path) -> Path:
     folder = tmp_path / "pcpnet"
     folder.mkdir()
-    normals = np.random.default_rng(0).normal(size=(300, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = sphere(300)
     for name in ("ball", "other"):
         np.savetxt(folder / f"{name}.xyz", normals)
         np.savetxt(folder / f"{name}.normals", normals)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 from jetnormal import load_model
 from jetnormal.data.corruption import add_noise
@@ -20,6 +22,7 @@ PATCH_NETWORKS = ("deepfit-small", "adafit-small", "graphfit-small")
 SEEDS = (90_001, 90_002, 90_003)  # of solids; training draws from others
 
 
+@functools.cache
 def error(model: str, noise: float) -> float:
     """RMSE in degrees over 300 points of each solid."""
     estimator = make_estimator(model)
@@ -56,7 +59,7 @@ def test_bfloat16_products_leave_the_accuracy_alone(monkeypatch):
     errors = []
     for bfloat16 in (False, True):
         monkeypatch.setattr(estimators, "multiplies_bfloat16", lambda _, known=bfloat16: known)
-        errors.append(error("deepfit-small", 1.25e-3))
+        errors.append(error.__wrapped__("deepfit-small", 1.25e-3))
     assert errors[0] != errors[1] and abs(errors[0] - errors[1]) < 0.05
 
 
@@ -84,6 +87,5 @@ def test_confidence_of_cloudfit_is_the_share_of_normals_within_10_degrees():
 
 
 def test_cloudfit_follows_a_small_sphere_as_a_jet_does():
-    normals = np.random.default_rng(0).normal(size=(64, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = sphere(64)
     assert rmse(angles(make_estimator("cloudfit")(normals).normals, normals)) < 10

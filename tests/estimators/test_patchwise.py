@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from shapes import sphere
 
 from jetnormal.estimators.factory import make_estimator
 from jetnormal.estimators.patchwise import BATCH_POINTS, jet_estimator, network_estimator, pca_estimator
@@ -13,12 +14,6 @@ from jetnormal.geometry.metrics import angles
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 TINY = PatchFitConfig(neighbors=64, width=0.125, transform_width=0.125, feature_transform=False, light=True)
-
-
-def sphere(count: int, radius: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return radius * normals, normals
 
 
 def torus(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -37,7 +32,7 @@ def network() -> PatchFit:
 
 
 def test_pca_and_jet_find_the_normals_of_a_sphere():
-    points, normals = sphere(4000)
+    points = normals = sphere(4000)
     assert np.median(angles(make_estimator("pca")(points).normals, normals)) < 1.5
     assert np.median(angles(make_estimator("jet")(points).normals, normals)) < 0.1
 
@@ -69,14 +64,14 @@ def test_turning_moving_and_scaling_the_cloud_turns_the_normals(name, network):
 
 
 def test_the_order_of_the_points_does_not_matter(network):
-    points, _ = sphere(500)
+    points = sphere(500)
     order = np.random.default_rng(2).permutation(500)
     for estimator in (make_estimator("jet"), network_estimator("tiny", network)):
         assert angles(estimator(points[order]).normals, estimator(points).normals[order]).max() < 0.01
 
 
 def test_batches_and_queries_do_not_change_the_result(network):
-    points, _ = sphere(300)
+    points = sphere(300)
     whole = network_estimator("tiny", network)(points)
     done = []
     parts = network_estimator("tiny", network, batch_size=7)(points, np.arange(100, 151), done.append)
@@ -85,13 +80,13 @@ def test_batches_and_queries_do_not_change_the_result(network):
 
 
 def test_two_runs_are_equal_bit_for_bit(network):
-    points, _ = sphere(400)
+    points = sphere(400)
     estimator = network_estimator("tiny", network)
     assert np.array_equal(estimator(points).normals, estimator(points).normals)
 
 
 def test_iterations_change_the_fit_and_stay_unit(network):
-    points, _ = sphere(300)
+    points = sphere(300)
     once = network_estimator("tiny", network)(points)
     twice = network_estimator("tiny", network, iterations=2)(points)
     assert not np.allclose(once.normals, twice.normals)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from shapes import sphere
 
 from jetnormal.estimators import blocks
 from jetnormal.estimators.whole_cloud import CloudEstimator
@@ -37,8 +38,7 @@ def test_normals_are_units_and_follow_the_surface(estimator: CloudEstimator):
 
 
 def test_curvatures_of_a_sphere_are_those_of_its_radius(estimator: CloudEstimator):
-    normals = np.random.default_rng(0).normal(size=(8000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = sphere(8000)
     prediction = estimator(2 * normals)
     assert prediction.curvatures is not None
     outward = np.sign((prediction.normals * normals).sum(axis=1))

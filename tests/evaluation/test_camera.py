@@ -2,17 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 from jetnormal.evaluation.camera import HEIGHT, OVERSAMPLING, WIDTH, Camera, paint
 
 
-def sphere(count=3000):
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
-
-
 def test_the_front_of_a_shape_fills_the_picture():
-    normals = sphere()
+    normals = sphere(3000)
     camera = Camera(1e-3 * normals + 100, normals)
     index = camera.render(1e-3 * normals + 100)
     assert index.shape == (HEIGHT * OVERSAMPLING, WIDTH * OVERSAMPLING)
@@ -27,7 +23,7 @@ def test_the_front_of_a_shape_fills_the_picture():
 
 
 def test_points_are_shown_where_they_are():
-    normals = sphere()
+    normals = sphere(3000)
     camera = Camera(normals, normals)
     index = camera.render(normals)
     rows, columns = np.nonzero(index >= 0)
@@ -39,7 +35,7 @@ def test_points_are_shown_where_they_are():
 
 
 def test_y_is_up():
-    camera = Camera(sphere(), sphere())
+    camera = Camera(sphere(3000), sphere(3000))
     assert camera.axes[1] @ [0, 1, 0] > 0.7
     np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(camera.axes) == pytest.approx(1)

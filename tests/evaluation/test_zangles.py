@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from shapes import sphere
 
 from jetnormal.estimators.patchwise import pca_estimator
 from jetnormal.evaluation.clouds import BenchmarkCloud
@@ -14,8 +15,7 @@ from jetnormal.evaluation.zangles import SAMPLE, measure_z_angles
 @pytest.fixture
 def cloud():
     """A sphere, of which every third point is evaluated."""
-    normals = np.random.default_rng(0).normal(size=(6000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = sphere(6000)
     return BenchmarkCloud("sphere", [], 5 * normals + 7, normals, np.arange(0, 6000, 3))
 
 

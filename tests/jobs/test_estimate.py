@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 import jetnormal
 from jetnormal import Cloud, estimate, formats
@@ -14,20 +15,15 @@ from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.options import EstimateOptions
 
 
-def sphere(count: int = 3000) -> np.ndarray:
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
-
-
 def test_normals_of_an_array_point_outwards():
-    points = sphere()
+    points = sphere(3000)
     normals = jetnormal.estimate(points, model="jet")
     assert normals.dtype == np.float64 and normals.shape == points.shape
     assert angles(normals, points, oriented=True).max() < 3
 
 
 def test_normals_at_utm_coordinates_are_those_near_the_origin():
-    points = np.round(sphere(), 6)
+    points = np.round(sphere(3000), 6)
     near = estimate(points, model="jet")
     far = estimate(points + np.array([456_789.0, 5_432_109.0, 321.0]), model="jet")
     assert angles(near, far, oriented=True).max() < 1e-3

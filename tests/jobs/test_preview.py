@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from shapes import sphere
 from typer.testing import CliRunner
 
 from jetnormal import Cloud, formats
@@ -21,8 +22,7 @@ from jetnormal.rendering.scene import cloud_scene
 
 @pytest.fixture
 def files(tmp_path):
-    normals = np.random.default_rng(0).normal(size=(500, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = sphere(500)
     formats.write(Cloud(np.r_[normals, [[np.nan] * 3]], np.r_[normals, [[0, 0, 1.0]]]), tmp_path / "cloud.ply")
     formats.write(Cloud(normals), tmp_path / "bare.xyz")
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])

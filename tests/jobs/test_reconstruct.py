@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 import jetnormal
 from jetnormal import Cloud, formats, reconstruct
@@ -26,11 +27,6 @@ def solver_in_this_process(monkeypatch):
     monkeypatch.setattr(poisson, "_run", poisson._work)
 
 
-def sphere(count: int = 2000) -> np.ndarray:
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
-
-
 def cap(count: int = 2000) -> np.ndarray:
     points = sphere(2 * count)
     return points[points[:, 2] > 0]
@@ -42,14 +38,14 @@ def enclosed(mesh: jetnormal.Mesh) -> float:
 
 
 def test_a_sphere_without_normals_becomes_a_closed_mesh_wound_outward():
-    mesh = reconstruct(sphere(), model="jet", depth=5)
+    mesh = reconstruct(sphere(2000), model="jet", depth=5)
     assert surface.is_watertight(mesh)
     assert enclosed(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.02)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max() < 0.02
 
 
 def test_large_coordinates_lose_nothing():
-    points = np.round(sphere(), 6)
+    points = np.round(sphere(2000), 6)
     near = reconstruct(Cloud(points, points), depth=5, threads=1)
     far = reconstruct(Cloud(points + UTM, points), depth=5, threads=1)
     assert near.faces.shape == far.faces.shape
@@ -65,7 +61,7 @@ def test_an_open_surface_is_cut_where_its_points_end():
 
 def test_trim_overrules_what_is_decided_by_itself(tmp_path):
     formats.write(Cloud(cap(), cap()), tmp_path / "cap.ply")
-    formats.write(Cloud(sphere(), sphere()), tmp_path / "sphere.ply")
+    formats.write(Cloud(sphere(2000), sphere(2000)), tmp_path / "sphere.ply")
 
     def summary(name: str, **options: float) -> dict:
         options = ReconstructOptions(depth=5, **options)
@@ -78,7 +74,7 @@ def test_trim_overrules_what_is_decided_by_itself(tmp_path):
 
 
 def test_colors_are_carried_to_the_mesh():
-    points = sphere()
+    points = sphere(2000)
     red = np.where(points[:, 0] > 0, 255, 0).astype(np.uint8)
     colors = {"red": red, "green": np.full(2000, 51, np.uint8), "blue": 255 - red}
     mesh = reconstruct(Cloud(points, points, colors), depth=5)
@@ -98,13 +94,13 @@ def test_the_depth_follows_the_spacing_of_the_points(tmp_path):
 
 
 def test_specks_of_outliers_vanish():
-    points = np.r_[sphere(), [3.0, 0, 0] + 0.01 * sphere(8)]
-    mesh = reconstruct(Cloud(points, np.r_[sphere(), sphere(8)]), depth=6, trim=0)
+    points = np.r_[sphere(2000), [3.0, 0, 0] + 0.01 * sphere(8)]
+    mesh = reconstruct(Cloud(points, np.r_[sphere(2000), sphere(8)]), depth=6, trim=0)
     assert mesh.vertices[:, 0].max() < 1.1
 
 
 def test_rows_without_a_normal_are_left_out_with_a_warning(tmp_path):
-    points, normals = np.r_[sphere(), [[np.nan] * 3, [9.0, 9, 9]]], np.r_[sphere(), [[0, 0, 1.0], [np.nan] * 3]]
+    points, normals = np.r_[sphere(2000), [[np.nan] * 3, [9.0, 9, 9]]], np.r_[sphere(2000), [[0, 0, 1.0], [np.nan] * 3]]
     formats.write(Cloud(points, normals), tmp_path / "in.ply")
     summary = reconstruct_file(tmp_path / "in.ply", tmp_path / "out.ply", ReconstructOptions(depth=5))
     assert summary["warnings"] == ["2 points without finite coordinates or a normal are left out"]
@@ -112,14 +108,14 @@ def test_rows_without_a_normal_are_left_out_with_a_warning(tmp_path):
 
 
 def test_normals_of_another_length_are_used_with_a_warning(tmp_path):
-    formats.write(Cloud(sphere(), 7 * sphere()), tmp_path / "in.ply")
+    formats.write(Cloud(sphere(2000), 7 * sphere(2000)), tmp_path / "in.ply")
     summary = reconstruct_file(tmp_path / "in.ply", tmp_path / "out.ply", ReconstructOptions(depth=5))
     assert "length 1" in summary["warnings"][0] and summary["watertight"]
 
 
 def test_scrambled_normals_are_told_and_recomputed_when_asked(tmp_path):
     signs = np.random.default_rng(1).choice([-1.0, 1.0], (2000, 1))
-    formats.write(Cloud(sphere(), sphere() * signs), tmp_path / "in.ply")
+    formats.write(Cloud(sphere(2000), sphere(2000) * signs), tmp_path / "in.ply")
     files = tmp_path / "in.ply", tmp_path / "out.ply"
     used = reconstruct_file(*files, ReconstructOptions(depth=5, model="jet"))
     assert any("opposite normals" in warning for warning in used["warnings"])
@@ -130,7 +126,7 @@ def test_scrambled_normals_are_told_and_recomputed_when_asked(tmp_path):
 
 
 def test_a_mesh_given_for_a_cloud_is_told(tmp_path):
-    write_mesh(reconstruct(Cloud(sphere(), sphere()), depth=5), tmp_path / "mesh.ply")
+    write_mesh(reconstruct(Cloud(sphere(2000), sphere(2000)), depth=5), tmp_path / "mesh.ply")
     summary = reconstruct_file(tmp_path / "mesh.ply", tmp_path / "out.ply", ReconstructOptions(depth=5, model="jet"))
     assert "a mesh already" in summary["warnings"][0]
 

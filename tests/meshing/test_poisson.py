@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 from jetnormal.errors import ResourceError
 from jetnormal.meshing import poisson as module
@@ -19,11 +20,6 @@ from jetnormal.meshing.poisson import poisson
 from jetnormal.support.open3d_loader import import_open3d
 
 pytestmark = pytest.mark.skipif(import_open3d() is None, reason="Open3D cannot be loaded")
-
-
-def sphere(count: int = 1000) -> np.ndarray:
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 @pytest.fixture
@@ -34,7 +30,7 @@ def scratch(tmp_path, monkeypatch):
 
 
 def test_a_sphere_comes_out_round_and_wound_outward(scratch):
-    vertices, faces, density = poisson(sphere(), sphere(), 5, threads=1)
+    vertices, faces, density = poisson(sphere(1000), sphere(1000), 5, threads=1)
     assert np.abs(np.linalg.norm(vertices, axis=1) - 1).max() < 0.05
     assert np.linalg.det(vertices[faces]).sum() / 6 == pytest.approx(4 / 3 * np.pi, rel=0.03)
     assert density.shape == (len(vertices),) and np.ptp(density) < 2

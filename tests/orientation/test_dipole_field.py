@@ -2,15 +2,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapes
 
 from jetnormal.orientation.dipole_field import DipoleField
 
 
 @pytest.fixture
 def sphere():
-    normals = np.random.default_rng(0).normal(size=(20_000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return 5 + 2 * normals, normals
+    return 5 + 2 * shapes.sphere(20_000), shapes.sphere(20_000)
 
 
 def test_the_indicator_of_a_sphere_is_one_inside_and_zero_outside(sphere):

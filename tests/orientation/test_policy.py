@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 from jetnormal import Cloud, estimate, formats
 from jetnormal.cloud import Source
@@ -14,11 +15,6 @@ from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.options import EstimateOptions
 from jetnormal.orientation.methods import Orientation
 from jetnormal.orientation.policy import seen_from_origin, sign_method
-
-
-def sphere(count=600):
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def stations(points):
@@ -40,14 +36,14 @@ def stations(points):
     ],
 )
 def test_what_is_given_goes_before_what_the_file_says(options, file_viewpoint, method, viewpoint):
-    cloud = Cloud(sphere(), source=Source(viewpoint=file_viewpoint))
+    cloud = Cloud(sphere(600), source=Source(viewpoint=file_viewpoint))
     found, place = sign_method(EstimateOptions(**options), cloud)
     assert found == method
     assert (place is None) == (viewpoint is None) and (place is None or place.tolist() == viewpoint)
 
 
 def test_attributes_tell_each_point_its_viewpoint(tmp_path):
-    points = sphere()
+    points = sphere(600)
     points[1] = np.nan
     points[7] = points[6]
     formats.write(Cloud(points, attributes=stations(points)), tmp_path / "in.ply")
@@ -134,8 +130,8 @@ def test_the_origin_is_not_believed_without_reason():
 
 
 def test_the_scanners_of_a_file_go_before_its_viewpoint_but_not_before_the_users():
-    sensors = np.array([5.0, 0.0, 0.0]) + sphere()
-    cloud = Cloud(sphere(), source=Source(viewpoint=(1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0), sensors=sensors))
+    sensors = np.array([5.0, 0.0, 0.0]) + sphere(600)
+    cloud = Cloud(sphere(600), source=Source(viewpoint=(1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0), sensors=sensors))
     method, places = sign_method(EstimateOptions(), cloud)
     assert method == "viewpoint" and np.array_equal(places, sensors)
     _, place = sign_method(EstimateOptions(viewpoint=(4.0, 5.0, 6.0)), cloud)

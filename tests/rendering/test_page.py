@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 from jetnormal import Cloud
 from jetnormal.rendering import page as module
@@ -15,10 +16,8 @@ from jetnormal.rendering.page import encode_octahedral, encode_page
 from jetnormal.rendering.scene import cloud_scene
 
 
-def sphere(count: int) -> Cloud:
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Cloud(5 * normals, normals)
+def ball(count: int) -> Cloud:
+    return Cloud(5 * sphere(count), sphere(count))
 
 
 def content(page: bytes) -> tuple[dict, bytes]:
@@ -29,7 +28,7 @@ def content(page: bytes) -> tuple[dict, bytes]:
 
 
 def test_octahedral_normals_are_right_to_a_degree():
-    normals = np.r_[sphere(5000).normals, np.eye(3), -np.eye(3)]
+    normals = np.r_[ball(5000).normals, np.eye(3), -np.eye(3)]
     flat = encode_octahedral(normals).astype(float) / 127
     z = 1 - np.abs(flat).sum(axis=1)
     folded = (1 - np.abs(flat[:, ::-1])) * np.where(flat < 0, -1, 1)
@@ -39,7 +38,7 @@ def test_octahedral_normals_are_right_to_a_degree():
 
 
 def test_the_page_holds_the_points():
-    cloud = sphere(100)
+    cloud = ball(100)
     meta, data = content(encode_page(cloud_scene(cloud), "a & <b>", "iso", "white"))
     places = np.frombuffer(data, "<i2", 300).reshape(100, 3) / 32767
     assert meta["vertices"] == 100 and meta["faces"] == 0 and meta["normals"]
@@ -49,12 +48,12 @@ def test_the_page_holds_the_points():
 
 
 def test_names_cannot_break_the_page():
-    page = encode_page(cloud_scene(sphere(10)), "</script><script>alert(1)</script>", "iso", "dark").decode()
+    page = encode_page(cloud_scene(ball(10)), "</script><script>alert(1)</script>", "iso", "dark").decode()
     assert "alert(1)</script>" not in page and "&lt;/script&gt;" in page
 
 
 def test_a_hundred_thousand_points_take_less_than_five_megabytes():
-    assert len(encode_page(cloud_scene(sphere(100_000)), "cloud", "auto", "white")) < 5e6
+    assert len(encode_page(cloud_scene(ball(100_000)), "cloud", "auto", "white")) < 5e6
 
 
 def test_large_clouds_and_meshes_are_thinned(monkeypatch):
@@ -62,7 +61,7 @@ def test_large_clouds_and_meshes_are_thinned(monkeypatch):
     from jetnormal.rendering.scene import mesh_scene
 
     monkeypatch.setattr(module, "MAX_POINTS", 500)
-    meta, _ = content(encode_page(cloud_scene(sphere(2000)), "cloud", "auto", "white"))
+    meta, _ = content(encode_page(cloud_scene(ball(2000)), "cloud", "auto", "white"))
     assert meta["vertices"] == 500 and meta["shown"] == "2,000 points, 500 points shown"
     pytest.importorskip("open3d", exc_type=ImportError)
     monkeypatch.setattr(module, "MAX_FACES", 200)

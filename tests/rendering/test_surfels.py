@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shapes import even_sphere
 
 from jetnormal import Cloud, Mesh
 from jetnormal.rendering.camera import Camera, make_camera
@@ -16,16 +17,14 @@ needs_open3d = pytest.mark.skipif(import_open3d() is None, reason="Open3D cannot
 
 
 def sphere_cloud(count: int = 4000) -> Cloud:
-    i = np.arange(count) + 0.5
-    z, angle = 1 - 2 * i / count, i * np.pi * (1 + np.sqrt(5))
-    points = np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
+    points = even_sphere(count)
     return Cloud(points, points)
 
 
 def sphere_mesh() -> Mesh:
     from scipy.spatial import ConvexHull
 
-    points = sphere_cloud(2000).points
+    points = even_sphere(2000)
     faces = ConvexHull(points).simplices.astype(np.int64)
     inward = np.einsum("fd,fd->f", Mesh(points, faces).area_vectors(), points[faces[:, 0]]) < 0
     faces[inward] = faces[inward, ::-1]
