@@ -121,7 +121,7 @@ def _only(chosen: dict[str, int], model: str, allowed: tuple[str, ...]) -> dict[
     """The chosen settings, all of which the model must have; one iteration is what every model does."""
     for key in chosen:
         if key not in allowed and not (key == "iterations" and chosen[key] == 1):
-            raise UsageError(f"the model {model} has no option {key}; it takes {' and '.join(allowed)}")
+            raise UsageError(f"the model {model} has no option {key}; it takes {' and '.join(allowed) or 'none'}")
     return {key: value for key, value in chosen.items() if key in allowed}
 
 
@@ -165,11 +165,21 @@ def _iterative(model: str, network: Any, settings: dict[str, int], resources: Re
     return IterEstimator(model, network, **settings, batch_size=batch_size, threads=resources.threads)
 
 
+def _balls(model: str, network: Any, _settings: dict[str, int], resources: Resources) -> Estimator:
+    from jetnormal.estimators.ballwise import BATCH, BallEstimator
+    from jetnormal.support.device import resolve_device
+
+    device = resolve_device(resources.device)
+    return BallEstimator(model, network.to(device), resources.batch_size or BATCH, device, resources.threads)
+
+
 _KINDS = {
     "pca": _Kind(("k",), False, _pca),
     "jet": _Kind(("k", "order"), False, _jet),
     "patchfit": _Kind(("k", "iterations"), True, _patch_network),
     "cloudfit": _Kind(("iterations",), False, _whole_cloud),
     "iternet": _Kind(("k", "iterations"), False, _iterative),
+    "pcpnet": _Kind((), True, _balls),
+    "nestinet": _Kind((), True, _balls),
 }
 """By name, and networks by their architecture."""

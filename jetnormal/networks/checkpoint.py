@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,16 +17,25 @@ from torch import Tensor
 from jetnormal.errors import ModelError
 from jetnormal.formats.atomic import atomic_write
 from jetnormal.networks.packaged import resolve
-from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
 if TYPE_CHECKING:
     from jetnormal.networks.cloudfit.network import CloudFit
     from jetnormal.networks.iternet import IterNet
+    from jetnormal.networks.nestinet import NestiNet
+    from jetnormal.networks.patchfit.network import PatchFit
+    from jetnormal.networks.pcpnet import PCPNet
 
-    Network = PatchFit | CloudFit | IterNet
+    Network = PatchFit | CloudFit | IterNet | PCPNet | NestiNet
 
 FORMAT = "jetnormal-1"
-ARCHITECTURES = ("patchfit", "cloudfit", "iternet")
+# Modules, networks and configurations; imported when needed, for some bring compiled loops along.
+ARCHITECTURES = {
+    "patchfit": ("patchfit.network", "PatchFit", "PatchFitConfig"),
+    "cloudfit": ("cloudfit.network", "CloudFit", "CloudFitConfig"),
+    "iternet": ("iternet", "IterNet", "IterNetConfig"),
+    "pcpnet": ("pcpnet", "PCPNet", "PCPNetConfig"),
+    "nestinet": ("nestinet", "NestiNet", "NestiNetConfig"),
+}
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
@@ -107,12 +117,7 @@ def load_model(name: str | Path) -> Network:
 
 def _build(architecture: str, config: dict[str, Any]) -> Network:
     """A network by its architecture and its configuration."""
-    if architecture == PatchFit.architecture:
-        return PatchFit(PatchFitConfig(**config))
-    if architecture == "iternet":
-        from jetnormal.networks.iternet import IterNet, IterNetConfig
-
-        return IterNet(IterNetConfig(**config))
-    from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig  # brings numba along
-
-    return CloudFit(CloudFitConfig(**config))
+    module, network, configuration = ARCHITECTURES[architecture]
+    found = import_module(f"jetnormal.networks.{module}")
+    built: Network = getattr(found, network)(getattr(found, configuration)(**config))
+    return built
