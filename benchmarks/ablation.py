@@ -1,143 +1,151 @@
-"""Trains and evaluates the networks of the paper's ablations from one configuration file, and writes its tables.
+"""Train and evaluate the networks of a plan, and write its tables: the paper's, or those of a small budget.
 
     jetnormal dataset --synthetic 4 -o benchmark
     python benchmarks/ablation.py benchmarks/ablation.toml -o ablation
+    python benchmarks/ablation.py benchmarks/paper/additions.toml -o paper      # with PCPNet in pcpnet/ and a GPU
 
-All networks get the same budget; one that several tables ask for is trained once. An interrupted run goes on when it
-is started again. `ablation/tables.md` holds the tables as far as they are known, `ablation/NETWORK` the runs.
+A plan is a TOML file. Each row of a table is a recipe of `jetnormal train` with some settings changed; equal recipes are
+trained once, also those of several plans with the same folder. An interrupted run goes on when it is started again.
+The folder gets NETWORK/ with the run of each network, and PLAN.md with the tables as far as they are known.
+
+    [test]                   # clouds in PCPNet's layout
+    data = "benchmark"
+    list = "testset_all.txt"
+    [changes.TABLE]          # what all recipes have in common
+    [[table]]                # a row for each combination of the values below
+    title = "Order of the jet"
+    recipe = "deepfit-paper"
+    additions = ["none", "both"]
+    order = [1, 2, 3]        # any setting of the recipe
+
+`additions` are the paper's: "none", "z" (z-direction transform), "correction" (normal error estimation), "both".
+`iterations` are those of the evaluation. `measure` is "rmse", or a list with "pgp5" and "pgp10". Over a list of `seeds`
+a row tells the mean and the standard deviation.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import itertools
+import json
+import statistics
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jetnormal.training.loop import TrainOptions, train
-
-from jetnormal.data.sources import open_dataset
 from jetnormal.errors import JetnormalError
 from jetnormal.evaluation import ModelResult, evaluate
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.patchfit.network import CONFIGS, PatchFitConfig
-from jetnormal.support.device import resolve_device
 from jetnormal.support.report import configure_logging, logger
-from jetnormal.training.losses import LossWeights, published_losses
+from jetnormal.training.recipe import Recipe, make_recipe, merged, placed, read_tables
+from jetnormal.training.train import train
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib  # mypy and pytest bring it along
+    import tomli as tomllib
 
-ADDITIONS = {  # the paper's, as settings of the network
-    "none": {"transform": "qstn", "correction": False},
-    "z": {"transform": "ztransform", "correction": False},
-    "correction": {"transform": "qstn", "correction": True},
-    "both": {"transform": "ztransform", "correction": True},
+ADDITIONS = {  # the paper's, as settings of a recipe
+    "none": {"transform": "qstn", "correction": False, "z_direction": 0.0},
+    "z": {"transform": "ztransform", "correction": False, "z_direction": 2.0},
+    "correction": {"transform": "qstn", "correction": True, "z_direction": 0.0},
+    "both": {"transform": "ztransform", "correction": True, "z_direction": 2.0},
 }
-LAMBDAS = {
-    "lambda_z": "z_direction",
-    "lambda_consistency": "consistency",
-    "lambda_sparsity": "sparsity",
-    "lambda_regularisation": "regularisation",
-    "lambda_offsets": "offsets",
-}
-Settings = dict[str, Any]
+NO_ROWS = ("title", "measure", "seeds")  # entries of a table that are no settings of its rows
+UNITS = {"rmse": "RMSE in degrees", "pgp5": "PGP5 in %", "pgp10": "PGP10 in %"}
+SCALES = {"rmse": 1.0, "pgp5": 100.0, "pgp10": 100.0}
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A row of a table: a network, how it is trained, and how often it iterates when it is evaluated."""
+class Row:
+    """A row of a table: what its cells name, its recipe, and how often the network iterates when it is evaluated."""
 
-    settings: Settings
-    config: PatchFitConfig
-    losses: LossWeights
+    settings: dict[str, Any]
+    recipe: Recipe
     iterations: int
 
-    @property
-    def run(self) -> str:
-        """Name of the folder of its training: all that decides on it, so that no two trainings share one."""
-        chosen = self.settings | {"neighbors": self.config.neighbors, "order": self.config.order}
-        published = published_losses(self.config)
-        for key, value in self.settings.items():
-            if key == "iterations" or (key in LAMBDAS and value == getattr(published, LAMBDAS[key])):
-                del chosen[key]
-        return "_".join(f"{key}-{value}".replace("_", "-") for key, value in sorted(chosen.items()))
 
-
-def trials(table: dict[str, Any], plan: dict[str, Any]) -> Iterator[Trial]:
+def rows(table: dict[str, Any], plan: dict[str, Any]) -> Iterator[Row]:
     """All combinations of the settings of a table."""
-    grid = {key: value if isinstance(value, list) else [value] for key, value in table.items() if key != "title"}
+    grid = {key: value if isinstance(value, list) else [value] for key, value in table.items() if key not in NO_ROWS}
     for values in itertools.product(*grid.values()):
-        settings: Settings = {"weights": "deepfit", "additions": "both"} | dict(zip(grid, values, strict=True))
-        rest = {key: value for key, value in settings.items() if key not in LAMBDAS}
+        settings = dict(zip(grid, values, strict=True))
+        rest = dict(settings)
         iterations = rest.pop("iterations", 1)
-        base = CONFIGS[plan.get("config", "small")][rest["weights"]]
-        config = replace(base, **plan.get("network", {}) | ADDITIONS[rest.pop("additions")] | rest)
-        factors = {LAMBDAS[key]: value for key, value in settings.items() if key in LAMBDAS}
-        yield Trial(settings, config, replace(published_losses(config), **factors), iterations)
+        tables = merged(read_tables(rest.pop("recipe", "deepfit-small")), plan.get("changes", {}))
+        chosen = ADDITIONS.get(rest.pop("additions", ""), {}) | rest
+        changes = placed(chosen, make_recipe(tables).tables())
+        yield Row(settings, make_recipe(merged(tables, changes)), iterations)
 
 
-def trained(trial: Trial, plan: dict[str, Any], folder: Path) -> Path:
-    """The model file of a trial, which is trained first, or trained on, where need be."""
-    data = plan["data"]
-    source = open_dataset(
-        [Path(name) for name in data.get("train", [])],
-        synthetic=data.get("synthetic", False),
-        weights=data.get("weights"),
-        clouds_per_epoch=data.get("clouds_per_epoch", 24),
-        points=data.get("points_per_cloud", 100_000),
-    )
-    device = resolve_device(plan.get("device", "auto"))
-    options = TrainOptions(**plan["training"], losses=trial.losses, device=device)
-    run = folder / trial.run
-    logger.info("training %s", trial.run)
+def run_name(recipe: Recipe) -> str:
+    """Name of the folder of a training: the kind of network, and a hash of all that decides on it."""
+    facts = json.dumps(recipe.facts(), sort_keys=True).encode()
+    return f"{getattr(recipe.network, 'weights', recipe.family)}-{hashlib.sha256(facts).hexdigest()[:10]}"
+
+
+def result(row: Row, recipe: Recipe, plan: dict[str, Any], folder: Path) -> ModelResult:
+    """What a network reaches on the test clouds; it is trained first, or trained on, where need be."""
+    run = folder / run_name(recipe)
+    logger.info("training %s: %s", run.name, row.settings)
     resume = (run / "state.safetensors").is_file()
-    return Path(train(trial.config, source, run, options, resume=resume)["model"])
+    device = plan.get("device", "auto")
+    summary = train(recipe, run, resume=resume, device=device)
+    test = plan["test"]
+    model = f"{summary['model']}:iterations={row.iterations}"
+    models = evaluate(test["data"], [model], list_file=test.get("list"), results=run / "results", device=device).models
+    return models[0]
 
 
-def scores(trial: Trial, plan: dict[str, Any], folder: Path) -> ModelResult:
-    """What a trained network reaches on the test clouds."""
-    model = f"{trained(trial, plan, folder)}:iterations={trial.iterations}"
-    data = plan["data"]
-    kept = folder / trial.run / "results"
-    return evaluate(data["test"], [model], list_file=data.get("test_list"), results=kept).models[0]
+def cells(results: list[ModelResult], measure: str) -> list[str]:
+    """One cell for each category and the average, over the seeds."""
+    columns = [[*one.categories.values(), one.average] for one in results]
+    found = []
+    for scores in zip(*columns, strict=True):
+        values = [getattr(score, measure) * SCALES[measure] for score in scores]
+        spread = f" ± {statistics.stdev(values):.2f}" if len(values) > 1 else ""
+        found.append(f"{statistics.mean(values):.2f}{spread}")
+    return found
 
 
-def markdown(table: dict[str, Any], rows: list[tuple[Trial, ModelResult]]) -> str:
-    """A table in Markdown: the settings that vary, then the RMSE by category and on average."""
-    varying = [key for key, value in table.items() if isinstance(value, list) and len(value) > 1]
-    categories = list(rows[0][1].categories)
-    lines = [f"**{table['title']}** (RMSE in degrees)", ""]
-    lines.append("| " + " | ".join([*varying, *categories, "average"]) + " |")
-    lines.append("|---" * len(varying) + "|---:" * (len(categories) + 1) + "|")
-    for trial, result in rows:
-        errors = [scores.rmse for scores in result.categories.values()] + [result.average.rmse]
-        cells = [str(trial.settings[key]) for key in varying] + [f"{error:.2f}" for error in errors]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join([*lines, ""])
+def markdown(table: dict[str, Any], done: list[tuple[Row, list[ModelResult]]]) -> str:
+    """A table in Markdown: the settings that vary, then a measure by category and on average."""
+    varying = [key for key, value in table.items() if key not in NO_ROWS and isinstance(value, list) and len(value) > 1]
+    categories = list(done[0][1][0].categories)
+    measures = table.get("measure", "rmse")
+    lines = []
+    for measure in [measures] if isinstance(measures, str) else measures:
+        lines += [f"**{table['title']}** ({UNITS[measure]})", ""]
+        lines.append("| " + " | ".join([*varying, *categories, "average"]) + " |")
+        lines.append("|---" * len(varying) + "|---:" * (len(categories) + 1) + "|")
+        for row, results in done:
+            names = [str(row.settings[key]) for key in varying]
+            lines.append("| " + " | ".join(names + cells(results, measure)) + " |")
+        lines.append("")
+    return "\n".join(lines)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("plan", type=Path, help="the configuration file")
+    parser.add_argument("plan", type=Path, help="the TOML file")
     parser.add_argument("-o", "--out", type=Path, default=Path("ablation"), help="folder of runs and tables")
     arguments = parser.parse_args()
     configure_logging(0)
     plan = tomllib.loads(arguments.plan.read_text())
-    tables = [(table, list(trials(table, plan))) for table in plan["table"]]  # all of them, so that errors show first
+    tables = [(table, list(rows(table, plan))) for table in plan["table"]]  # all of them, so that errors show first
     arguments.out.mkdir(parents=True, exist_ok=True)
     finished: list[str] = []
-    for table, rows in tables:
+    for table, planned in tables:
         done = []
-        for trial in rows:
-            done.append((trial, scores(trial, plan, arguments.out)))
+        for row in planned:
+            training = row.recipe.training
+            recipes = [replace(row.recipe, training=replace(training, seed=seed)) for seed in table.get("seeds", [])]
+            done.append((row, [result(row, one, plan, arguments.out) for one in recipes or [row.recipe]]))
             text = "\n".join([*finished, markdown(table, done)])
-            with atomic_write(arguments.out / "tables.md", overwrite=True) as stream:
+            with atomic_write(arguments.out / f"{arguments.plan.stem}.md", overwrite=True) as stream:
                 stream.write(text.encode())
         finished.append(markdown(table, done))
     print("\n".join(finished))

@@ -152,19 +152,35 @@ def parse_changes(texts: list[str], tables: Tables) -> Tables:
     Raises:
         UsageError: a text has another form, or its key is unknown or ambiguous.
     """
-    changes: Tables = {}
+    settings = {}
     for text in texts:
         key, equals, value = text.partition("=")
         if not equals:
             raise UsageError(f"{text!r} is not KEY=VALUE")
-        *table, name = key.strip().split(".", 1)
+        settings[key.strip()] = _parse_value(value.strip())
+    return placed(settings, tables)
+
+
+def placed(settings: dict[str, Any], tables: Tables) -> Tables:
+    """Put settings into the tables that have them.
+
+    Args:
+        settings: values by KEY or TABLE.KEY.
+        tables: of the recipe, complete.
+
+    Raises:
+        UsageError: a key is unknown, or several tables have it.
+    """
+    changes: Tables = {}
+    for key, value in settings.items():
+        *table, name = key.split(".", 1)
         homes = [home for home in _TABLES if name in tables.get(home, {}) and table in ([], [home])]
         if not homes:
             known = [entry for home in _TABLES for entry in tables.get(home, {})]
-            raise UsageError(f"the recipe has no setting {key.strip()}{did_you_mean(name, known)}")
+            raise UsageError(f"the recipe has no setting {key}{did_you_mean(name, known)}")
         if len(homes) > 1:
             raise UsageError(f"{name} may be {' or '.join(f'{home}.{name}' for home in homes)}: write one of them")
-        changes.setdefault(homes[0], {})[name] = _parse_value(value.strip())
+        changes.setdefault(homes[0], {})[name] = value
     return changes
 
 

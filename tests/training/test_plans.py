@@ -1,0 +1,56 @@
+"""The plans of benchmarks/ablation.py: every row is a recipe."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def ablation():
+    spec = importlib.util.spec_from_file_location("ablation", BENCHMARKS / "ablation.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["ablation"] = module  # its dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "networks"),
+    [
+        ("ablation", 46, 32),
+        ("paper/main", 6, 6),
+        ("paper/scenes", 6, 6),
+        ("paper/additions", 12, 12),
+        ("paper/order", 18, 18),
+        ("paper/neighborhood", 18, 18),
+        ("paper/z_loss", 12, 12),
+        ("paper/iterations", 4, 2),
+    ],
+)
+def test_a_plan_names_its_networks(ablation, name, rows, networks):
+    plan = tomllib.loads((BENCHMARKS / f"{name}.toml").read_text())
+    found = [row for table in plan["table"] for row in ablation.rows(table, plan)]
+    assert len(found) == rows
+    assert len({ablation.run_name(row.recipe) for row in found}) == networks
+
+
+def test_plans_share_their_networks(ablation):
+    """Tables 1 and 4 of the paper have six networks in common."""
+
+    def names(plan: str) -> set[str]:
+        tables = tomllib.loads((BENCHMARKS / "paper" / f"{plan}.toml").read_text())
+        return {ablation.run_name(row.recipe) for table in tables["table"] for row in ablation.rows(table, tables)}
+
+    assert len(names("main") & names("additions")) == 6
+    assert names("main") == names("scenes")
