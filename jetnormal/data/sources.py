@@ -7,7 +7,7 @@ so that a resumed training sees the data it would have seen, and clouds may be m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from jetnormal.data.corruption import Surface, scan
 from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
+from jetnormal.data.relief import add_relief
 from jetnormal.data.scanners.draw import random_scan
 from jetnormal.data.scanners.scenes import SceneTarget
 from jetnormal.data.scanners.targets import MeshTarget, SolidTarget, Target
@@ -29,6 +30,7 @@ from jetnormal.formats.pcpnet import cloud_names, read_cloud
 TRAINING_LIST = "trainingset_whitenoise.txt"
 VALIDATION_LIST = "validationset_whitenoise.txt"
 CLOUDS_PER_EPOCH = 24
+NOISY = ("_medium", "_high")  # kinds of corruption whose noise is large
 POINTS_PER_CLOUD = 100_000
 SCANNED_SHARES = {"mesh": 0.5, "solid": 0.2, "scene": 0.3}  # of the clouds that are scanned
 CLOUDS_PER_SCENE = 16  # in a sequence of so many clouds those of scenes are of one scene, which takes a while to build
@@ -210,6 +212,28 @@ class ScannedSurfaces:
         return target.kind, target
 
 
+class WithRelief:
+    """The clouds of another source, some of them with a fine relief (`data.relief`)."""
+
+    def __init__(self, source: DataSource, share: float) -> None:
+        """Take a source and the share of its clouds, between 0 and 1, that get a relief."""
+        self._source = source
+        self._share = share
+
+    @property
+    def clouds_per_epoch(self) -> int:
+        return self._source.clouds_per_epoch
+
+    def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
+        """See `DataSource.cloud`. Clouds with much noise are left as they are: it would drown the relief."""
+        cloud = self._source.cloud(epoch, index, seed)
+        rng = np.random.default_rng([seed, epoch, index, 4])
+        if cloud.name.endswith(NOISY) or rng.random() >= self._share:
+            return cloud
+        points, normals = add_relief(cloud.points, cloud.normals, rng)
+        return replace(cloud, points=points, normals=normals)
+
+
 class Mixture:
     """Several sources as one: their clouds alternate in proportion to the weights.
 
@@ -263,6 +287,7 @@ def open_dataset(
     weights: Sequence[float] | None = None,
     clouds_per_epoch: int = CLOUDS_PER_EPOCH,
     points: int = POINTS_PER_CLOUD,
+    relief: float = 0.0,
 ) -> DataSource:
     """Opens folders of training data, each by what lies in it, as one source.
 
@@ -280,6 +305,7 @@ def open_dataset(
             default as many clouds as it has per epoch.
         clouds_per_epoch: Clouds that a folder of meshes, the solids, and the scans give per epoch.
         points: Largest number of points of a cloud drawn from a mesh or a solid.
+        relief: Share of the clouds of meshes, solids and scans that get a fine relief.
 
     Raises:
         InputError: A folder is missing or holds neither, or its list does not fit it.
@@ -297,6 +323,8 @@ def open_dataset(
     if scans:
         folders = [source.directory for source in sources if isinstance(source, MeshFolder)]
         sources.append(ScannedSurfaces(folders, clouds_per_epoch, points))
+    if relief:
+        sources = [each if isinstance(each, PcpnetFolder) else WithRelief(each, relief) for each in sources]
     return sources[0] if len(sources) == 1 and weights is None else Mixture(sources, weights)
 
 

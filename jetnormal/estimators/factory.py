@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jetnormal.errors import UsageError
+from jetnormal.errors import ModelError, UsageError
+from jetnormal.networks.model_file import read_description
 from jetnormal.networks.packaged import packaged_names, resolve
 
 if TYPE_CHECKING:
@@ -33,12 +34,12 @@ class _Kind:
     Attributes:
         settings: that it has.
         runs_on_gpu: whether it takes another device than the CPU.
-        build: makes one of its name, its network (None for a classical fit), settings and resources.
+        build: makes one of its name, its model file (None for a classical fit), settings and resources.
     """
 
     settings: tuple[str, ...]
     runs_on_gpu: bool
-    build: Callable[[str, Any, dict[str, int], Resources], Estimator]
+    build: Callable[[str, Path | None, dict[str, int], Resources], Estimator]
 
 
 def make_estimator(
@@ -74,11 +75,11 @@ def make_estimator(
     for key, value in (chosen | {"batch_size": batch_size, "threads": threads}).items():
         if value is not None and value < 1:
             raise UsageError(f"{key} must be at least 1, not {value}")
-    network = None if name in CLASSICAL else _load(name)
-    kind = _KINDS[name if network is None else network.architecture]
+    path = None if name in CLASSICAL else resolve(name, CLASSICAL)
+    kind = _KINDS[name] if path is None else _kind_of(path)
     if not kind.runs_on_gpu and device not in ("auto", "cpu"):
-        raise UsageError(f"the model {name} runs on the CPU: leave out the option device, or choose a patch network")
-    return kind.build(model, network, _only(chosen, name, kind.settings), Resources(batch_size, device, threads))
+        raise UsageError(f"the model {name} runs on the CPU: leave out the option device, or choose a network")
+    return kind.build(model, path, _only(chosen, name, kind.settings), Resources(batch_size, device, threads))
 
 
 def model_names() -> list[str]:
@@ -96,11 +97,12 @@ def model_file(model: str) -> Path | None:
     return None if name in CLASSICAL else resolve(name, CLASSICAL)
 
 
-def _load(name: str) -> Any:
-    path = resolve(name, CLASSICAL)
-    from jetnormal.networks.checkpoint import load_model  # brings PyTorch along
-
-    return load_model(path)
+def _kind_of(path: Path) -> _Kind:
+    """The kind of estimator that a model file is for."""
+    architecture = read_description(path).get("architecture")
+    if architecture not in NETWORKS:
+        raise ModelError(f"{path}: holds no network (architecture {architecture!r})")
+    return _KINDS[architecture]
 
 
 def _parse(model: str) -> tuple[str, dict[str, int]]:
@@ -125,25 +127,25 @@ def _only(chosen: dict[str, int], model: str, allowed: tuple[str, ...]) -> dict[
     return {key: value for key, value in chosen.items() if key in allowed}
 
 
-def _pca(_model: str, _network: None, settings: dict[str, int], resources: Resources) -> Estimator:
+def _pca(_model: str, _path: Path | None, settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.patchwise import pca_estimator
 
     return pca_estimator(**settings, batch_size=resources.batch_size, threads=resources.threads)
 
 
-def _jet(_model: str, _network: None, settings: dict[str, int], resources: Resources) -> Estimator:
+def _jet(_model: str, _path: Path | None, settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.patchwise import jet_estimator
 
     return jet_estimator(**settings, batch_size=resources.batch_size, threads=resources.threads)
 
 
-def _patch_network(model: str, network: Any, settings: dict[str, int], resources: Resources) -> Estimator:
+def _patch_network(model: str, path: Path | None, settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.patchwise import network_estimator
     from jetnormal.support.device import resolve_device
 
     return network_estimator(
         model,
-        network,
+        _load(path),
         **settings,
         batch_size=resources.batch_size,
         device=resolve_device(resources.device),
@@ -151,33 +153,43 @@ def _patch_network(model: str, network: Any, settings: dict[str, int], resources
     )
 
 
-def _whole_cloud(model: str, network: Any, settings: dict[str, int], resources: Resources) -> Estimator:
-    from jetnormal.estimators.whole_cloud import FIT_ROWS, CloudEstimator
+def _whole_cloud(model: str, path: Path | None, settings: dict[str, int], resources: Resources) -> Estimator:
+    from jetnormal.estimators.whole_cloud import cloud_estimator
+    from jetnormal.support.device import resolve_device
 
-    batch_size = resources.batch_size or FIT_ROWS
-    return CloudEstimator(model, network, **settings, batch_size=batch_size, threads=resources.threads)
+    assert path is not None
+    device = "cpu" if resources.device == "auto" else resolve_device(resources.device)
+    return cloud_estimator(model, path, **settings, device=device, threads=resources.threads)
 
 
-def _iterative(model: str, network: Any, settings: dict[str, int], resources: Resources) -> Estimator:
+def _iterative(model: str, path: Path | None, settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.iterative import ROWS, IterEstimator
 
     batch_size = resources.batch_size or ROWS
-    return IterEstimator(model, network, **settings, batch_size=batch_size, threads=resources.threads)
+    return IterEstimator(model, _load(path), **settings, batch_size=batch_size, threads=resources.threads)
 
 
-def _balls(model: str, network: Any, _settings: dict[str, int], resources: Resources) -> Estimator:
+def _balls(model: str, path: Path | None, _settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.ballwise import BATCH, BallEstimator
     from jetnormal.support.device import resolve_device
 
     device = resolve_device(resources.device)
-    return BallEstimator(model, network.to(device), resources.batch_size or BATCH, device, resources.threads)
+    return BallEstimator(model, _load(path).to(device), resources.batch_size or BATCH, device, resources.threads)
 
 
+def _load(path: Path | None) -> Any:
+    from jetnormal.networks.checkpoint import load_model  # brings PyTorch along
+
+    assert path is not None
+    return load_model(path)
+
+
+NETWORKS = ("patchfit", "cloudfit", "iternet", "pcpnet", "nestinet")  # architectures of model files
 _KINDS = {
     "pca": _Kind(("k",), False, _pca),
     "jet": _Kind(("k", "order"), False, _jet),
     "patchfit": _Kind(("k", "iterations"), True, _patch_network),
-    "cloudfit": _Kind(("iterations",), False, _whole_cloud),
+    "cloudfit": _Kind(("iterations",), True, _whole_cloud),
     "iternet": _Kind(("k", "iterations"), False, _iterative),
     "pcpnet": _Kind((), True, _balls),
     "nestinet": _Kind((), True, _balls),

@@ -14,7 +14,7 @@ from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction
 from jetnormal.estimators.blocks import in_blocks
 from jetnormal.estimators.patchwise import agreement
 from jetnormal.geometry.graph import Graph, build_graph, cloud_spacing
-from jetnormal.geometry.patches import COLLINEAR
+from jetnormal.geometry.neighbors import COLLINEAR
 from jetnormal.networks.iternet import IterNet
 from jetnormal.support.device import in_order, worker_pool
 from jetnormal.support.flops import matrix_products

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction
 from jetnormal.estimators.blocks import in_blocks
-from jetnormal.geometry.patches import COLLINEAR
-from jetnormal.geometry.pyramid import NEIGHBORS, Level, build_pyramid
-from jetnormal.networks.cloudfit.network import CloudFit, Encoding
-from jetnormal.support.device import in_order, torch_threads, worker_pool
-from jetnormal.support.flops import matrix_products
+from jetnormal.geometry.neighbors import COLLINEAR
+from jetnormal.geometry.pyramid import NEIGHBORS, Pyramid, build_pyramid
+from jetnormal.networks.cloudfit.config import CloudFitConfig
+from jetnormal.networks.cloudfit.curvature import add_equations, principal
+from jetnormal.networks.cloudfit.inference import Found, Inference
 from jetnormal.support.report import Advance
 
-FIT_ROWS = 2048  # points fitted at a time by a thread: what they need stays in its cache
+if TYPE_CHECKING:
+    from jetnormal.networks.cloudfit.network import CloudFit
+
+CURVATURE_LEVELS = 3  # whose normals take part in the curvature
 
 
 @dataclass(frozen=True)
@@ -28,17 +31,17 @@ class CloudEstimator:
 
     Attributes:
         name: what it is called.
-        network: ready for inference.
-        iterations: of the fit; see `CloudFit.fit`.
-        batch_size: points fitted at a time.
+        config: of the network.
+        find: the network: a pyramid, iterations and threads in, the normals of all points out.
+        iterations: of the last vote.
         threads: CPU threads; None for all cores.
         neighbors: of a point in each level of the pyramid, the point itself included.
     """
 
     name: str
-    network: CloudFit
+    config: CloudFitConfig
+    find: Callable[[Pyramid, int, int | None], Found]
     iterations: int = 1
-    batch_size: int = FIT_ROWS
     threads: int | None = None
     neighbors: int = NEIGHBORS + 1
     has_curvature: ClassVar[bool] = True
@@ -49,61 +52,109 @@ class CloudEstimator:
         self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
     ) -> Prediction:
         """See `estimators.base.Estimator`."""
-        return in_blocks(points, queries, lambda part, asked: self._block(part, asked, advance), self.threads)
+
+        def estimate(block: NDArray[np.float64], asked: NDArray[np.int64]) -> list[Prediction]:
+            prediction = self._block(block)[asked]
+            if advance:
+                advance(len(asked))
+            return [prediction]
+
+        return in_blocks(points, queries, estimate, self.threads)
 
     def cost(self, points: NDArray[np.float64]) -> float:
         """See `estimators.base.Estimator`; without the compiled loops over edges."""
-        pyramid = build_pyramid(points - points.mean(axis=0), len(self.network.config.channels))
-        rows = torch.arange(len(points))
-        return matrix_products(lambda: self.network.fit(self.network.encode(pyramid), rows)) / len(points)
+        import torch
+
+        from jetnormal.networks.cloudfit.network import CloudFit
+        from jetnormal.support.flops import matrix_products
+
+        network = CloudFit(self.config).for_inference()
+        pyramid = build_pyramid(points - points.mean(axis=0), len(self.config.channels))
+        with torch.inference_mode():
+            return matrix_products(lambda: network(pyramid)) / len(points)
 
     def z_axes(self, points: NDArray[np.float64], queries: NDArray[np.int64]) -> Axes | None:
         """See `estimators.base.Estimator`: the transform is not of a patch."""
         return None
 
-    @torch.inference_mode()
-    def _block(
-        self, points: NDArray[np.float64], queries: NDArray[np.int64], advance: Advance | None
-    ) -> list[Prediction]:
-        with torch_threads(self.threads):
-            pyramid = build_pyramid(points - points.mean(axis=0), len(self.network.config.channels), self.threads)
-            encoding = self.network.encode(pyramid)
-        return self.fit_all(encoding, pyramid, torch.from_numpy(queries), advance)
-
-    def fit_all(
-        self, encoding: Encoding, pyramid: list[Level], queries: Tensor, advance: Advance | None = None
-    ) -> list[Prediction]:
-        """The fit for (Q,) queries of an encoded cloud, in chunks, a thread each."""
-        sound = _spans_plane(pyramid, encoding.parents)
-        parts = []
-        chunks = queries.split(self.batch_size)
-        with worker_pool(self.threads) as pool:
-            for part in in_order(pool, lambda chunk: self._fit(encoding, sound[chunk], chunk), chunks):
-                parts.append(part)
-                if advance:
-                    advance(len(part.normals))
-        return parts
-
-    @torch.inference_mode()
-    def _fit(self, encoding: Encoding, sound: Tensor, queries: Tensor) -> Prediction:
-        fit = self.network.fit(encoding, queries, self.iterations)
-        nowhere = torch.where(sound, 1.0, torch.nan)[:, None]
-        side = torch.where((fit.rough * fit.refined).sum(1, keepdim=True) < 0, -1.0, 1.0)
-        return Prediction(
-            normals=(fit.refined * nowhere).numpy(),
-            rough=(fit.rough * side * nowhere).numpy(),
-            confidence=(torch.sigmoid(fit.confidence) * sound).numpy(),
-            curvatures=(fit.jet.curvatures()[0] / fit.unit[:, None] * nowhere).numpy(),
-        )
+    def _block(self, points: NDArray[np.float64]) -> Prediction:
+        """The prediction for all points of a block, which is looked at as a whole."""
+        points = points - points.mean(axis=0)
+        pyramid = build_pyramid(points, len(self.config.channels), self.threads)
+        found = self.find(pyramid, self.iterations, self.threads)
+        ancestors = _ancestors(pyramid)
+        curvatures = _curvatures(points, found, pyramid, ancestors)
+        sound = _spans_plane(pyramid, ancestors)
+        nowhere = np.where(sound, np.float32(1), np.float32(np.nan))[:, None]
+        behind = np.einsum("ij,ij->i", found.rough, found.normals) < 0
+        rough = np.where(behind[:, None], -found.rough, found.rough)
+        confidence = sound / (1 + np.exp(-found.confidence))
+        return Prediction(found.normals * nowhere, rough * nowhere, confidence, curvatures * nowhere)
 
 
-def _spans_plane(pyramid: list[Level], parents: list[Tensor]) -> Tensor:
-    """(N,) bool: whether the neighbors of a point, in some level, are neither collinear nor coincident."""
-    ancestor = torch.arange(len(pyramid[0].positions))
-    sound = torch.zeros(len(ancestor), dtype=torch.bool)
-    for number, level in enumerate(pyramid):
-        if number:
-            ancestor = parents[number - 1][ancestor]
-        variance = torch.from_numpy(level.variance)[ancestor]
-        sound |= variance[:, 1] > COLLINEAR * variance[:, 2]
+def cloud_estimator(
+    name: str, path: Path, iterations: int = 1, device: str = "cpu", threads: int | None = None
+) -> CloudEstimator:
+    """The estimator of a model file: by NumPy on the CPU, by PyTorch on a CUDA device.
+
+    Raises:
+        ModelError: the file is damaged, or holds another network.
+    """
+    if device == "cpu":
+        inference = Inference.load(path)
+        return CloudEstimator(name, inference.config, inference, iterations, threads)
+    from jetnormal.networks.checkpoint import load_model
+    from jetnormal.networks.cloudfit.network import CloudFit
+
+    network = load_model(path)
+    assert isinstance(network, CloudFit)
+    return CloudEstimator(name, network.config, on_device(network, device), iterations, threads)
+
+
+def on_device(network: CloudFit, device: str) -> Callable[[Pyramid, int, int | None], Found]:
+    """A network in PyTorch as the `find` of an estimator."""
+    import torch
+
+    from jetnormal.support.device import torch_threads
+
+    network = network.to(device)
+
+    def find(pyramid: Pyramid, iterations: int, threads: int | None) -> Found:
+        with torch_threads(threads), torch.inference_mode():
+            said = network(pyramid, iterations)
+            normals, rough, confidence = (t.cpu().numpy() for t in (said.normals, said.rough, said.confidence))
+            return Found(normals, rough, confidence, [nodes.normals.cpu().numpy() for nodes in said.levels])
+
+    return find
+
+
+def _ancestors(pyramid: Pyramid) -> list[NDArray[np.int64]]:
+    """For each level, the (N,) point of it that stands for each point of the cloud."""
+    first = np.empty(len(pyramid.kept) + len(pyramid.left_out), dtype=np.int64)
+    first[pyramid.kept] = np.arange(len(pyramid.kept))
+    first[pyramid.left_out] = pyramid.carried.neighbors[:, 0]
+    ancestors = [first]
+    for level in pyramid.levels[:-1]:
+        ancestors.append(level.parents[ancestors[-1], 0].astype(np.int64))
+    return ancestors
+
+
+def _spans_plane(pyramid: Pyramid, ancestors: list[NDArray[np.int64]]) -> NDArray[np.bool_]:
+    """(N,) whether the neighbors of a point, in some level, are neither collinear nor coincident."""
+    sound = np.zeros(len(ancestors[0]), dtype=np.bool_)
+    for level, ancestor in zip(pyramid.levels, ancestors, strict=True):
+        sound |= (level.variance[:, 1] > COLLINEAR * level.variance[:, 2])[ancestor]
     return sound
+
+
+def _curvatures(
+    points: NDArray[np.float64], found: Found, pyramid: Pyramid, ancestors: list[NDArray[np.int64]]
+) -> NDArray[np.float32]:
+    """(N, 2) principal curvatures from the normals of the finest levels, see `curvature.principal`."""
+    sums = np.zeros((len(points), 6))
+    finest = zip(pyramid.levels[:CURVATURE_LEVELS], found.levels, ancestors, strict=False)
+    for level, normals, ancestor in finest:
+        own = np.arange(len(level.positions), dtype=np.int32)[:, None]
+        neighbors = np.concatenate([own, level.neighbors], axis=1)
+        add_equations(points, found.normals, ancestor, level.positions, normals, neighbors, sums)
+    return principal(sums)

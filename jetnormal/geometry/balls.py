@@ -9,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from jetnormal.geometry.patches import COLLINEAR, principal_frame
+from jetnormal.geometry.neighbors import COLLINEAR
+from jetnormal.geometry.patches import principal_frame
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-COLLINEAR = 1e-12  # ratio of variances below which points count as collinear: a millionth in width
+from jetnormal.geometry.neighbors import COLLINEAR
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""A cloud at several resolutions: thinned levels of averaged positions, their neighbor lists, normals and scales.
+"""A cloud at several resolutions: an even finest level, then thinned levels of averaged positions.
+
+Scanners sample in lines, and merged scans hold the same place many times. Nearest neighbors then tell of the sampling
+and not of the surface. So the finest level leaves points out until it is even (`_even`), and what is found there is
+carried to the points that were left out.
 
 Everything is computed from distances between points, so that a rotated, moved, scaled or permuted cloud has the
 rotated, moved, scaled or permuted pyramid.
@@ -19,22 +23,25 @@ PARENTS = 4
 SPACING = 6  # a point and its SPACING nearest neighbors hold one point of the next level or more
 LEAST_GROWTH = 0.1  # of the scale from level to level
 AVERAGED = 8  # neighbors whose mean is the position of a point of the next level
+LINE = 0.12  # ratio of the middle to the largest variance of the neighbors, below which they lie in a line
+SAME = 0.02  # of the scale: points nearer than that are one place
+_Found = tuple[NDArray[np.int32], NDArray[np.float64]]  # neighbors and their distances, (n, 16) each
+_Moments = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+PASSES = 4  # of thinning, at most: each leaves about a fifth of a line
+LEAST_EVEN = 256  # points: a cloud is not thinned below
 
 
 @dataclass(frozen=True)
-class Level:
-    """One resolution of a cloud.
+class Neighborhood:
+    """Points, each with neighbors among the points of a level.
 
     Attributes:
         positions: (n, 3) float64.
-        neighbors: (n, 16) int32 nearest other points of the level, by ascending distance; where there are fewer, the
-            farthest is repeated.
+        neighbors: (n, k) int32 nearest points of the level, by ascending distance.
         scale: (n,) float32 root mean square distance of the neighbors; 1 for a single point.
         normals: (n, 3) float32 unit normals of the neighbors' planes, their signs arbitrary.
         variance: (n, 3) float32 variances of the neighbors along their principal axes, ascending, of sum 1.
         centroid: (n, 3) float32 mean offset of the neighbors, in units of `scale`.
-        chosen: (m,) int64 which points have a successor in the next level, in its order; empty in the last.
-        parents: (n, 4) int32 points of the next level near each point, the nearest first, the last repeated.
     """
 
     positions: NDArray[np.float64]
@@ -43,25 +50,57 @@ class Level:
     normals: NDArray[np.float32]
     variance: NDArray[np.float32]
     centroid: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Level(Neighborhood):
+    """One resolution of a cloud; a point's 16 neighbors are other points, the farthest repeated where there are fewer.
+
+    Attributes:
+        chosen: (m,) int64 which points have a successor in the next level, in its order; empty in the last.
+        parents: (n, 4) int32 points of the next level near each point, the nearest first, the last repeated.
+    """
+
     chosen: NDArray[np.int64]
     parents: NDArray[np.int32]
 
 
-def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None = None) -> list[Level]:
-    """Thins a cloud level by level to about a quarter.
+@dataclass(frozen=True)
+class Pyramid:
+    """A cloud at several resolutions.
 
-    A level keeps a maximal set of points such that none is among the eight nearest of another: it is even where the
+    Attributes:
+        levels: the finest first.
+        kept: (n,) int64 rows of the cloud that are the points of the finest level, ascending.
+        left_out: (r,) int64 the other rows, ascending.
+        carried: (r,) the points left out, each with its 16 nearest points of the finest level.
+    """
+
+    levels: list[Level]
+    kept: NDArray[np.int64]
+    left_out: NDArray[np.int64]
+    carried: Neighborhood
+
+
+def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None = None) -> Pyramid:
+    """Thins a cloud to an even finest level, and this level by level to about a quarter.
+
+    A level keeps a maximal set of points such that none is among the six nearest of another: it is even where the
     cloud is. Each point that is kept moves to the mean of itself and its eight nearest neighbors, which removes noise.
 
     Args:
         points: (N, 3) finite, different points, N >= 2.
-        levels: number of levels; the first is the cloud.
+        levels: number of levels.
         threads: for the neighbor search; None for all cores.
     """
+    kept, found, moments = _even(points, threads)
+    cloud, points = points, points[kept]
     pyramid: list[Level] = []
     for number in range(levels):
-        neighbors, distances = _other_neighbors(points, threads)
-        scale, normals, variance, centroid = _moments(points, neighbors)
+        if number:
+            found = _other_neighbors(points, threads)
+            moments = _moments(points, points, found[0])
+        (neighbors, distances), (scale, normals, variance, centroid) = found, moments
         if pyramid:  # in a small level the same points may have been averaged twice
             scale = np.maximum(scale, LEAST_GROWTH * pyramid[-1].scale[pyramid[-1].chosen])
         last = number == levels - 1
@@ -73,17 +112,99 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
         if not last:
             nearest = points[neighbors[chosen, :AVERAGED]]
             points = (points[chosen] + nearest.sum(1)) / (1 + nearest.shape[1])
-    return pyramid
+    left_out = np.setdiff1d(np.arange(len(cloud)), kept, assume_unique=True)
+    return Pyramid(pyramid, kept, left_out, _neighborhood(cloud[left_out], pyramid[0], threads))
+
+
+def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int64], _Found, _Moments]:
+    """Leaves points out where samples lie in lines or nearly coincide.
+
+    A point whose neighbors lie in a line must not have another of the thinned cloud among its six nearest, and
+    any point none nearer than SAME. A pass shortens the line that the neighbors make up to fivefold, so that
+    after a few of them the neighbors come from the lines beside it as well.
+
+    Returns:
+        The rows of the points that are kept, ascending, their neighbors and their moments.
+    """
+    kept = np.arange(len(points))
+    neighbors, distances = _other_neighbors(points, threads)
+    moments = _moments(points, points, neighbors)
+    for _ in range(PASSES):
+        scale, _, variance, _ = moments
+        lined = variance[:, 1] < LINE * variance[:, 2]
+        reach = np.where(lined, distances[:, SPACING - 1], SAME * scale)
+        crowded = np.flatnonzero(distances[:, 0] <= reach)
+        if len(kept) < LEAST_EVEN or not len(crowded):
+            break
+        order = crowded[np.argsort(_priority(distances[crowded]), kind="stable")]
+        keep = _apart(neighbors, distances, reach, order)
+        kept = kept[keep]
+        neighbors, distances = _without(points[kept], keep, neighbors, distances, threads)
+        moments = _moments(points[kept], points[kept], neighbors)
+    return kept, (neighbors, distances), moments
+
+
+@compiled
+def _apart(
+    neighbors: NDArray[np.int32], distances: NDArray[np.float64], reach: NDArray[np.float64], order: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Takes all other points, and those of this order each unless a neighbor within its reach was taken before."""
+    taken = np.ones(len(neighbors), np.bool_)
+    taken[order] = False
+    for i in order:
+        free = True
+        for k in range(neighbors.shape[1]):
+            if distances[i, k] > reach[i]:
+                break
+            free = free and not taken[neighbors[i, k]]
+        taken[i] = free
+    return taken
+
+
+def _without(
+    points: NDArray[np.float64],
+    keep: NDArray[np.bool_],
+    neighbors: NDArray[np.int32],
+    distances: NDArray[np.float64],
+    threads: int | None,
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """The neighbors of the kept `points` after others were left out; asks again only where a neighbor is missing."""
+    number = np.cumsum(keep, dtype=np.int32) - np.int32(1)
+    neighbors, distances = neighbors[keep], distances[keep]
+    stale = np.flatnonzero(~keep[neighbors].all(axis=1))
+    neighbors = number[neighbors]
+    if len(stale):
+        index = NeighborIndex(points, threads=threads)
+        neighbors[stale], distances[stale] = _others_of(index, points, stale)
+    return neighbors, distances
+
+
+def _neighborhood(points: NDArray[np.float64], level: Level, threads: int | None) -> Neighborhood:
+    """Points that are not in a level, with their neighbors there."""
+    k = min(NEIGHBORS, len(level.positions))
+    if len(points):
+        found, _ = NeighborIndex(level.positions, threads=threads).query(points, k)
+        neighbors = np.pad(found.astype(np.int32), ((0, 0), (0, NEIGHBORS - k)), mode="edge")
+    else:
+        neighbors = np.zeros((0, NEIGHBORS), np.int32)
+    return Neighborhood(points, neighbors, *_moments(points, level.positions, neighbors))
 
 
 def _other_neighbors(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """(n, 16) nearest other points and their distances; where there are fewer, the farthest is repeated."""
+    return _others_of(NeighborIndex(points, threads=threads), points, np.arange(len(points)))
+
+
+def _others_of(
+    index: NeighborIndex, points: NDArray[np.float64], rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """`_other_neighbors` of some rows of the points of an index."""
     k = min(NEIGHBORS + 1, len(points))
-    found, distances = NeighborIndex(points, threads=threads).query(points, k)
+    found, distances = index.query(points[rows], k)
     neighbors = found.astype(np.int32)
     # averaged positions may coincide, and then another point may come before the point itself
-    for row in np.flatnonzero(found[:, 0] != np.arange(len(points))):
-        at = np.flatnonzero(found[row] == row)
+    for row in np.flatnonzero(found[:, 0] != rows):
+        at = np.flatnonzero(found[row] == rows[row])
         neighbors[row, 1 : at[0] + 1 if len(at) else 1] = found[row, : at[0] if len(at) else 0]
     neighbors, distances = neighbors[:, 1:], distances[:, 1:]
     missing = NEIGHBORS + 1 - k
@@ -175,16 +296,11 @@ def _principal(m: NDArray[np.float64], values: NDArray[np.float64], normal: NDAr
 
 
 @compiled
-def _moments(
-    points: NDArray[np.float64], neighbors: NDArray[np.int32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Scale, normal, variances and centroid of each neighborhood, the point itself included."""
-    count = len(points)
-    k = neighbors.shape[1]
-    scale = np.empty(count, np.float32)
-    normals = np.empty((count, 3), np.float32)
-    variance = np.empty((count, 3), np.float32)
-    centroid = np.empty((count, 3), np.float32)
+def _moments(points: NDArray[np.float64], others: NDArray[np.float64], neighbors: NDArray[np.int32]) -> _Moments:
+    """Scale, normal, variances and centroid of each point's neighborhood among others, the point itself included."""
+    count, k = neighbors.shape
+    scale, centroid = np.empty(count, np.float32), np.empty((count, 3), np.float32)
+    normals, variance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     mean, values, normal = np.empty(3), np.empty(3), np.empty(3)
     covariance = np.empty((3, 3))
     for i in range(count):
@@ -192,10 +308,10 @@ def _moments(
         covariance[:] = 0
         for j in neighbors[i]:
             for a in range(3):
-                d = points[j, a] - points[i, a]
+                d = others[j, a] - points[i, a]
                 mean[a] += d
                 for b in range(a + 1):
-                    covariance[a, b] += d * (points[j, b] - points[i, b])
+                    covariance[a, b] += d * (others[j, b] - points[i, b])
         square = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
         size = np.sqrt(square / k) if square > 0 else 1.0
         scale[i] = size

@@ -13,6 +13,7 @@ from torch import Tensor
 from jetnormal.support.device import worker_pool
 
 CHUNK = 4096  # rows
+CUDA_CHUNK = 65_536
 
 
 @lru_cache(maxsize=1)
@@ -48,6 +49,8 @@ def by_rows(function: Callable[[slice], Tensor], count: int, chunk: int = CHUNK)
     if torch.is_grad_enabled() or count <= chunk:
         return function(slice(0, count))
     like = function(slice(0, 1))
+    if like.is_cuda:  # fewer and larger kernels, in order
+        return torch.cat([function(slice(start, start + CUDA_CHUNK)) for start in range(0, count, CUDA_CHUNK)])
     out = like.new_empty(count, *like.shape[1:])
 
     def work(rows: slice) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -36,6 +37,11 @@ def resolve_device(text: str) -> str:
     if int(text.partition(":")[2] or 0) >= count:
         raise ResourceError(f"there is no device {text}, only {count} CUDA devices; give `device=cpu` or auto")
     return text
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def multiplies_bfloat16(device: str) -> bool:

@@ -36,7 +36,7 @@ def _import_or_warn() -> ModuleType | None:
         except ImportError as error:
             reason = str(error)
     logger.warning(
-        "Open3D cannot be loaded (%s): SciPy takes its place, slower on large clouds. "
+        "Open3D cannot be loaded (%s): meshes, pictures of them and virtual scanners need it. "
         "It needs the system libraries libusb-1.0, libGL and libEGL "
         "(Debian, Ubuntu: apt install libusb-1.0-0 libgl1 libegl1)",
         reason.partition("\n")[0],

@@ -11,7 +11,8 @@ from torch import Tensor
 from jetnormal.data.sources import DataSource
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.geometry.pyramid import build_pyramid
-from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig, CloudPrediction, Encoding
+from jetnormal.networks.cloudfit.config import CloudFitConfig
+from jetnormal.networks.cloudfit.network import CloudFit, CloudPrediction
 from jetnormal.training.crops import Crop, CropSampler, draw_crops
 from jetnormal.training.losses import cloudfit_loss
 from jetnormal.training.options import CloudTraining
@@ -25,13 +26,16 @@ class CloudTask:
         config: of the network.
         options: how it is trained.
         pool: threads, on each of which PyTorch runs alone (`support.device.worker_pool`).
+        device: where the network is; the pyramids are built on the CPU.
     """
 
     unit = "crops"
-    measures: tuple[str, ...] = ("rmse", "rmse_rough", "rmse_z")
+    measures: tuple[str, ...] = ("rmse", "rmse_rough")
 
-    def __init__(self, config: CloudFitConfig, options: CloudTraining, pool: ThreadPoolExecutor) -> None:
-        self.network = CloudFit(config)
+    def __init__(
+        self, config: CloudFitConfig, options: CloudTraining, pool: ThreadPoolExecutor, device: str = "cpu"
+    ) -> None:
+        self.network = CloudFit(config).to(device)
         self._options = options
         self._pool = pool
 
@@ -40,14 +44,15 @@ class CloudTask:
         return CropSampler(source, options.crop_points, options.crops_per_cloud, options.batch_size, options.seed)
 
     def samples(self, batch: list[Crop]) -> int:
-        return sum(crop.inner for crop in batch)
+        return sum(int(crop.learned.sum()) for crop in batch)
 
     def backward(self, batch: list[Crop]) -> dict[str, float]:
         parameters = list(self.network.parameters())
 
         def slope(crop: Crop) -> tuple[tuple[Tensor, ...], dict[str, float]]:
-            normals = torch.from_numpy(crop.normals).float()
-            terms = cloudfit_loss(*_predict(self.network, crop), normals, crop.inner)
+            device = self.network.device
+            normals, learned = torch.from_numpy(crop.normals).float().to(device), torch.from_numpy(crop.learned)
+            terms = cloudfit_loss(_predict(self.network, crop), normals, learned.to(device))
             gradients = torch.autograd.grad(terms["loss"], parameters, allow_unused=True, materialize_grads=True)
             return gradients, {name: value.item() for name, value in terms.items()}
 
@@ -66,17 +71,17 @@ class CloudTask:
         return crops
 
     def errors(self, network: CloudFit, held_out: list[Crop]) -> tuple[float, ...]:
-        """Means over the crops of the RMSE in degrees of the refined, the rough and the z-direction normals."""
+        """Means over the crops of the RMSE in degrees of the normals, and of those before the last vote."""
 
         @torch.inference_mode()
         def measure(crop: Crop) -> list[float]:
-            _, prediction = _predict(network, crop)
-            directions = (prediction.refined, prediction.rough, prediction.direction)
-            return [rmse(angles(normals.numpy(), crop.normals[: crop.inner])) for normals in directions]
+            prediction = _predict(network, crop)
+            found = (prediction.normals, prediction.rough)
+            return [rmse(angles(normals.cpu().numpy()[crop.learned], crop.normals[crop.learned])) for normals in found]
 
         return tuple(map(float, np.mean(list(self._pool.map(measure, held_out)), axis=0)))
 
 
-def _predict(network: CloudFit, crop: Crop) -> tuple[Encoding, CloudPrediction]:
-    encoding = network.encode(build_pyramid(crop.points, len(network.config.channels), threads=1))
-    return encoding, network.fit(encoding, torch.arange(crop.inner))
+def _predict(network: CloudFit, crop: Crop) -> CloudPrediction:
+    prediction: CloudPrediction = network(build_pyramid(crop.points, len(network.config.channels), threads=1))
+    return prediction

@@ -13,21 +13,25 @@ from jetnormal.data.sources import DataSource, LabeledCloud
 from jetnormal.training.batches import made_ahead
 
 WINDOW = 8  # clouds whose crops are shuffled together
+SPREAD = 1.7  # a crop has up to this many times the asked number of points, or as many times fewer
+INNER = 0.55  # share of a crop's points, the nearest to its middle, whose surroundings are as in the whole cloud
+SPARSE_SHARE = 0.1  # of the clouds, which give a few of their points, spread over all of it, as one more crop
+SPARSE = (64, 3000)  # points of such a crop
 
 
 @dataclass(frozen=True)
 class Crop:
-    """The nearest points of a cloud around one of them, by ascending distance.
+    """Some points of a cloud.
 
     Attributes:
         points: (n, 3) float64.
         normals: (n, 3) float64 true unit normals.
-        inner: how many of the first points have a neighborhood like in the whole cloud.
+        learned: (n,) which points have a normal to learn, and surroundings as in the whole cloud.
     """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
-    inner: int
+    learned: NDArray[np.bool_]
 
 
 class CropSampler:
@@ -35,7 +39,7 @@ class CropSampler:
 
     Args:
         source: of the clouds.
-        crop_points: points of a crop; a smaller cloud is its own crop.
+        crop_points: points of a crop, about; a smaller cloud is its own crop.
         crops_per_cloud: crops around random points of each cloud.
         batch_size: crops in a batch; what does not fill the last batch of an epoch is left out.
         seed: everything drawn follows from it.
@@ -78,14 +82,41 @@ class CropSampler:
 
 
 def draw_crops(cloud: LabeledCloud, points: int, count: int, rng: np.random.Generator) -> list[Crop]:
-    """Crops of a cloud around random points of it; copies of a point are left out."""
+    """Crops of a cloud around random labeled points of it, the first now and then sparse; no point comes twice.
+
+    Args:
+        cloud: with at least one labeled point.
+        points: of a crop, about: their number varies, so that the coarse levels see more and less.
+        count: number of crops.
+        rng: source of randomness.
+    """
     from scipy.spatial import cKDTree
 
     from jetnormal.geometry.neighbors import distinct
 
     rows = np.sort(distinct(cloud.points)[0])
     places, normals = cloud.points[rows], cloud.normals[rows]
-    points = min(points, len(places))
-    inner = points if points == len(places) else points // 2
-    _, found = cKDTree(places).query(places[rng.integers(len(places), size=count)], points)
-    return [Crop(places[nearest], normals[nearest], inner) for nearest in found.reshape(count, points)]
+    labeled = np.ones(len(rows), dtype=np.bool_) if cloud.labeled is None else cloud.labeled[rows]
+    tree = cKDTree(places)
+    crops = []
+    for middle in rng.choice(np.flatnonzero(labeled), count):
+        size = min(len(places), round(points * SPREAD ** rng.uniform(-1, 1)))
+        nearest = np.atleast_1d(tree.query(places[middle], size)[1])
+        learned = labeled[nearest]
+        if size < len(places):
+            learned[round(INNER * size) :] = False
+        crops.append(Crop(places[nearest], normals[nearest], learned))
+    if rng.random() < SPARSE_SHARE:
+        crops[0] = _sparse(places, normals, labeled, rng)
+    return crops
+
+
+def _sparse(
+    places: NDArray[np.float64], normals: NDArray[np.float64], labeled: NDArray[np.bool_], rng: np.random.Generator
+) -> Crop:
+    """A few points, spread over all of a cloud, at least one of them labeled."""
+    fewest, most = SPARSE
+    size = min(len(places), round(fewest * (most / fewest) ** rng.random()))
+    some = rng.permutation(len(places))[:size]
+    some[0] = rng.choice(np.flatnonzero(labeled)) if not labeled[some].any() else some[0]
+    return Crop(places[some], normals[some], labeled[some])

@@ -61,17 +61,15 @@ def _patchfit() -> Family:
 
 
 def _cloudfit() -> Family:
-    from jetnormal.networks.cloudfit.network import CloudFitConfig
+    from jetnormal.networks.cloudfit.config import CloudFitConfig
     from jetnormal.training.cloud_task import CloudTask
 
     @contextmanager
     def task(
         config: CloudFitConfig, options: CloudTraining, _: None, device: str, threads: int | None
     ) -> Iterator[Task[Any]]:
-        if device not in ("auto", "cpu"):
-            raise UsageError(f"cloudfit trains on the CPU, not on {device}")
         with worker_pool(threads) as pool:
-            yield CloudTask(config, options, pool)
+            yield CloudTask(config, options, pool, resolve_device(device))
 
     return Family(CloudFitConfig, CloudTraining, None, task)
 

@@ -16,9 +16,9 @@ from jetnormal.networks.patchfit.network import PatchPrediction
 from jetnormal.training.options import LossWeights
 
 if TYPE_CHECKING:
-    from jetnormal.networks.cloudfit.network import CloudPrediction, Encoding  # brings numba along
+    from jetnormal.networks.cloudfit.network import CloudPrediction  # brings numba along
 
-FLOOR = 0.05  # radians: what is below is good enough for CloudFit
+FLOOR = 0.02  # radians: what is below is good enough for CloudFit
 SURE = math.radians(10)
 
 
@@ -83,33 +83,23 @@ def total_loss(prediction: PatchPrediction, neighbor_normals: Tensor, factors: L
     return terms | {"loss": loss}
 
 
-def cloudfit_loss(encoding: Encoding, prediction: CloudPrediction, normals: Tensor, inner: int) -> dict[str, Tensor]:
+def cloudfit_loss(prediction: CloudPrediction, normals: Tensor, learned: Tensor) -> dict[str, Tensor]:
     """The terms of CloudFit's loss on a crop and their weighted sum, "loss".
 
     Each compares directions by the root mean square over the crop, as the measure of the field does over a cloud.
 
     Args:
-        encoding: of the crop.
-        prediction: at its first `inner` points.
+        prediction: for the crop.
         normals: (n, 3) true normals of the crop.
-        inner: number of points that are learned from.
+        learned: (n,) which points are learned from.
     """
-    true = normals[:inner]
-    terms = {"refined": _rms(prediction.refined, true), "rough": _rms(prediction.rough, true)}
-    inside = [(found[origin < inner], true[origin[origin < inner]]) for found, origin in encoding.directions]
-    errors = [_rms(found, theirs) for found, theirs in inside if len(found)]  # a coarse level may have none there
-    terms["z_direction"] = _rms(prediction.direction, true)
-    terms["votes"] = torch.stack(errors).mean()
+    inside = [(found[learned[at]], normals[at[learned[at]]]) for found, at in prediction.directions]
+    votes = [_rms(found, true) for found, true in inside if len(found)]  # a coarse level may have no point to learn
+    terms = {"normals": _rms(prediction.normals[learned], normals[learned]), "votes": torch.stack(votes).mean()}
     with torch.no_grad():
-        good = (_square(prediction.refined, true) < 2 * (1 - math.cos(SURE))).float()
-    terms["confidence"] = F.binary_cross_entropy_with_logits(prediction.confidence, good)
-    terms["loss"] = (
-        terms["refined"]
-        + 0.5 * terms["rough"]
-        + 0.5 * terms["z_direction"]
-        + terms["votes"]
-        + 0.1 * terms["confidence"]
-    )
+        good = (_square(prediction.normals[learned], normals[learned]) < 2 * (1 - math.cos(SURE))).float()
+    terms["confidence"] = F.binary_cross_entropy_with_logits(prediction.confidence[learned], good)
+    terms["loss"] = 2 * terms["normals"] + terms["votes"] + 0.1 * terms["confidence"]
     return terms
 
 

@@ -50,6 +50,10 @@ class DataOptions(OptionSet):
             group="Data",
         ),
     ] = None
+    relief: Annotated[
+        float,
+        Option("Share of the clouds of meshes, solids and scans that get a fine relief.", low=0, high=1, flag=False),
+    ] = 0.0
     list_file: Annotated[
         str | None,
         Option(
@@ -139,7 +143,9 @@ class PatchTraining(TrainOptions):
 class CloudTraining(TrainOptions):
     """How CloudFit is trained; what made the packaged weights is the recipe `cloudfit`."""
 
-    crop_points: Annotated[int, Option("Points of a crop, half of which are learned from.", low=64, flag=False)] = 8000
+    crop_points: Annotated[
+        int, Option("Points of a crop, about half of which are learned from.", low=64, flag=False)
+    ] = 8000
     crops_per_cloud: Annotated[int, Option("Crops of each cloud in an epoch.", low=1, flag=False)] = 12
 
 

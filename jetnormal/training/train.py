@@ -105,6 +105,7 @@ def open_training(data: DataOptions) -> DataSource:
         weights=data.weights,
         clouds_per_epoch=data.clouds_per_epoch,
         points=data.points_per_cloud,
+        relief=data.relief,
     )
 
 

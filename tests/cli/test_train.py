@@ -94,12 +94,12 @@ def test_trained_model_is_usable(data, pcpnet, meshes, tmp_path, monkeypatch, ca
 
 def test_trained_cloudfit_is_usable(tmp_path, monkeypatch, capsys):
     folder = tmp_path / "run"
-    small = {"clouds_per_epoch": 2, "points_per_cloud": 600, "crop_points": 200, "crops_per_cloud": 2, "order": 3}
+    small = {"clouds_per_epoch": 2, "points_per_cloud": 600, "crop_points": 200, "crops_per_cloud": 2}
     settings = [part for name, value in small.items() for part in ("--set", f"{name}={value}")]
     arguments = ["--synthetic", *settings, "--epochs", "1", "-o", folder, "--json", "--threads", "1"]
     assert run(monkeypatch, *arguments) == 0
     summary = json.loads(capsys.readouterr().out)
-    assert summary["parameters"] == 2_129_273
+    assert summary["parameters"] == 2_865_184
     assert 0 < metrics(folder)[0]["rmse"] < 90
     points = np.random.default_rng(1).uniform(size=(200, 3)) * [1, 1, 0.01]
     normals = make_estimator(summary["model"])(points).normals

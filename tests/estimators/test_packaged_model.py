@@ -89,3 +89,15 @@ def test_confidence_of_cloudfit_is_the_share_of_normals_within_10_degrees():
 def test_cloudfit_follows_a_small_sphere_as_a_jet_does():
     normals = sphere(64)
     assert rmse(angles(make_estimator("cloudfit")(normals).normals, normals)) < 10
+
+
+@pytest.mark.parametrize("shift", [1e-8, 1e-6, 1e-4])
+def test_near_duplicates_change_nothing_for_cloudfit(shift):
+    """Half of the points of a sphere, copied with a shift in units of its radius."""
+    rng = np.random.default_rng(0)
+    normals = rng.normal(size=(20_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    doubled = np.concatenate([normals, normals[::2] + shift * rng.normal(size=(10_000, 3))])
+    estimator = make_estimator("cloudfit")
+    alone = rmse(angles(estimator(normals).normals, normals))
+    assert rmse(angles(estimator(doubled).normals, np.concatenate([normals, normals[::2]]))) < 1.1 * alone

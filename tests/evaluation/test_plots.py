@@ -94,7 +94,7 @@ def test_of_long_names_the_end_is_shown(clouds, turned):
 def test_pictures_are_not_overwritten_unasked(tmp_path):
     check_plots(tmp_path, overwrite=False)
     (tmp_path / "mine.png").touch()
-    with pytest.raises(InputError, match="holds pictures already; use --force"):
+    with pytest.raises(InputError, match="holds pictures already; use `overwrite`"):
         check_plots(tmp_path, overwrite=False)
     check_plots(tmp_path, overwrite=True)
     with pytest.raises(InputError, match="is no folder"):

@@ -7,18 +7,6 @@ from jetnormal.geometry import neighbors
 from jetnormal.geometry.neighbors import NeighborIndex
 
 
-@pytest.fixture(params=["scipy", "open3d"])
-def backend(request, monkeypatch):
-    """Run a test on each back end, whatever k it asks for."""
-    if request.param == "scipy":
-        monkeypatch.setattr(neighbors, "import_open3d", lambda: None)
-    elif neighbors.import_open3d() is None:
-        pytest.skip("Open3D cannot be imported here")
-    else:
-        monkeypatch.setattr(neighbors, "OPEN3D_MAX_K", 10**9)
-    return request.param
-
-
 def brute_force(points, queries, k):
     distances = np.sqrt(((queries[:, None] - points[None]) ** 2).sum(axis=-1))
     indices = np.broadcast_to(np.arange(len(points)), distances.shape)
@@ -27,7 +15,7 @@ def brute_force(points, queries, k):
 
 
 @pytest.mark.parametrize("k", [1, 7, 64, 300])
-def test_equals_brute_force(backend, k):
+def test_equals_brute_force(k):
     rng = np.random.default_rng(0)
     points, queries = rng.normal(size=(300, 3)), rng.normal(size=(50, 3))
     indices, distances = NeighborIndex(points).query(queries, k)
@@ -38,27 +26,27 @@ def test_equals_brute_force(backend, k):
 
 
 @pytest.mark.parametrize("k", [2, 9, 20, 60])
-def test_ties_on_a_grid_go_to_the_smaller_index(backend, k):
+def test_ties_on_a_grid_go_to_the_smaller_index(k):
     grid = np.stack(np.meshgrid(*[np.arange(7.0)] * 3), axis=-1).reshape(-1, 3)
     grid = np.random.default_rng(1).permutation(grid)
     indices, _ = NeighborIndex(grid).query(grid, k)
     np.testing.assert_array_equal(indices, brute_force(grid, grid, k)[0])
 
 
-def test_duplicates_come_in_index_order(backend):
+def test_duplicates_come_in_index_order():
     points = np.repeat(np.eye(3), 40, axis=0)
     indices, distances = NeighborIndex(points).query(points[50:51], 10)
     np.testing.assert_array_equal(indices[0], np.arange(40, 50))
     np.testing.assert_array_equal(distances, 0)
 
 
-def test_a_tie_larger_than_the_spare_still_gives_nearest_points(backend):
+def test_a_tie_larger_than_the_spare_still_gives_nearest_points():
     indices, distances = NeighborIndex(np.ones((1000, 3))).query(np.ones((3, 3)), 5)
     assert distances.max() == 0
     assert all(len(set(row)) == 5 for row in indices.tolist())
 
 
-def test_large_offsets_change_nothing(backend):
+def test_large_offsets_change_nothing():
     rng = np.random.default_rng(2)
     points = rng.integers(0, 1 << 16, size=(500, 3)) / 1024  # exact under the offset
     shifted = points + np.array([500_000, 5_000_000, 300])
@@ -68,7 +56,7 @@ def test_large_offsets_change_nothing(backend):
     np.testing.assert_array_equal(distances, shifted_distances)
 
 
-def test_chunks_and_threads_do_not_change_the_answer(backend, monkeypatch):
+def test_chunks_and_threads_do_not_change_the_answer(monkeypatch):
     points = np.random.default_rng(3).normal(size=(400, 3))
     whole = NeighborIndex(points).query(points, 12)
     monkeypatch.setattr(neighbors, "CHUNK_ENTRIES", 100)
@@ -77,7 +65,7 @@ def test_chunks_and_threads_do_not_change_the_answer(backend, monkeypatch):
     np.testing.assert_array_equal(whole[1], pieces[1])
 
 
-def test_no_queries_give_no_rows(backend):
+def test_no_queries_give_no_rows():
     indices, distances = NeighborIndex(np.eye(3)).query(np.empty((0, 3)), 2)
     assert indices.shape == distances.shape == (0, 2)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jetnormal.data.sources import LabeledCloud
-from jetnormal.training.crops import WINDOW, Crop, CropSampler, draw_crops
+from jetnormal.training.crops import INNER, SPARSE, SPREAD, WINDOW, Crop, CropSampler, draw_crops
 
 
 class Spheres:
@@ -28,7 +28,7 @@ def sampler(clouds: int = 3, batch_size: int = 2, seed: int = 1) -> CropSampler:
 def assert_equal(first: list[list[Crop]], second: list[list[Crop]]):
     assert len(first) == len(second)
     for one, other in zip(first, second, strict=True):
-        assert all((a.points == b.points).all() for a, b in zip(one, other, strict=True))
+        assert all(np.array_equal(a.points, b.points) for a, b in zip(one, other, strict=True))
 
 
 def test_an_epoch_has_whole_batches_only():
@@ -41,7 +41,7 @@ def test_batches_follow_from_seed_and_epoch():
     batches = list(sampler().epoch(1))
     assert_equal(batches, list(sampler().epoch(1)))
     for other in (list(sampler(seed=2).epoch(1)), list(sampler().epoch(2))):
-        assert (other[0][0].points != batches[0][0].points).any()
+        assert not np.array_equal(other[0][0].points, batches[0][0].points)
 
 
 @pytest.mark.parametrize("first", [1, 3, 17, 20, 23, 24])
@@ -51,19 +51,42 @@ def test_an_epoch_may_start_at_any_batch(first: int):
 
 
 def test_a_crop_is_the_nearest_points_of_its_first():
-    cloud = Spheres().cloud(0, 0, 0)
-    for crop in draw_crops(cloud, 80, 4, np.random.default_rng(0)):
+    cloud = Spheres(points=600).cloud(0, 0, 0)
+    sizes = set()
+    for crop in draw_crops(cloud, 80, 20, np.random.default_rng(0))[1:]:
+        size = len(crop.points)
+        sizes.add(size)
         distances = np.linalg.norm(cloud.points - crop.points[0], axis=1)
-        np.testing.assert_allclose(np.linalg.norm(crop.points - crop.points[0], axis=1), np.sort(distances)[:80])
+        np.testing.assert_allclose(np.linalg.norm(crop.points - crop.points[0], axis=1), np.sort(distances)[:size])
         np.testing.assert_allclose(crop.points, crop.normals)
-        assert crop.inner == 40
+        assert crop.learned.sum() == round(INNER * size)
+        assert crop.learned[: crop.learned.sum()].all()
+    assert 80 / SPREAD - 1 < min(sizes) < 70
+    assert 100 < max(sizes) < 80 * SPREAD + 1
+
+
+def test_points_without_a_label_are_neither_a_middle_nor_learned():
+    cloud = Spheres(points=600).cloud(0, 0, 0)
+    labeled = cloud.points[:, 0] > 0
+    cloud = LabeledCloud("", cloud.points, cloud.normals, labeled=labeled)
+    for crop in draw_crops(cloud, 80, 20, np.random.default_rng(0)):
+        assert crop.learned.any()
+        assert (crop.points[crop.learned, 0] > 0).all()
+
+
+def test_some_clouds_give_a_sparse_crop_of_all_their_surface():
+    cloud = Spheres(points=5000).cloud(0, 0, 0)
+    firsts = [draw_crops(cloud, 80, 1, np.random.default_rng(seed))[0] for seed in range(100)]
+    sparse = [crop for crop in firsts if np.ptp(crop.points, axis=0).min() > 1.5 and crop.learned.all()]
+    assert 3 <= len(sparse) <= 25
+    assert all(SPARSE[0] <= len(crop.points) <= SPARSE[1] for crop in sparse)
 
 
 def test_a_small_cloud_is_its_own_crop_without_copies():
     cloud = Spheres(points=60).cloud(0, 0, 0)
     doubled = LabeledCloud("", np.repeat(cloud.points, 2, axis=0), np.repeat(cloud.normals, 2, axis=0))
     (crop,) = draw_crops(doubled, 500, 1, np.random.default_rng(0))
-    assert len(crop.points) == crop.inner == 60
+    assert len(crop.points) == crop.learned.sum() == 60
 
 
 def test_errors_of_the_source_arrive():

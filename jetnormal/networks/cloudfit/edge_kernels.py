@@ -1,7 +1,8 @@
 """Compiled loops over the edges of a neighbor graph: each reads its edges once and keeps nothing per edge and channel.
 
 They run in one thread and release the interpreter lock: `networks.rows` shares the rows among threads.
-Arrays are C-contiguous: float32 unless said otherwise, neighbors int32. `FEATURES` numbers describe an edge.
+Arrays are C-contiguous: float32 unless said otherwise, neighbors int32. Twelve numbers describe an edge
+(`config.FEATURES`), for which the loops are written out.
 """
 
 from __future__ import annotations
@@ -12,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.support.compiled import compiled
-
-FEATURES = 12  # per edge; the loops below are written out for it
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -104,24 +103,57 @@ def edge_messages_backward(
             grad_w[f, c] += transposed[c, f]
 
 
+# A slice of an array in a loop over edges counts references atomically. For the few channels of `edge_mlp` that costs
+# more than the arithmetic, so it indexes whole arrays; for many channels slices are faster: they vectorize better.
+
+
+@compiled
+def _values_at(own: F32, i: Any, sent: F32, n: Any, q: F32, j: Any, w: F32, out: F32) -> None:
+    """out = own[i] + sent[n] + q[i, j] @ w, (C,)."""
+    e0, e1, e2, e3, e4, e5 = q[i, j, 0], q[i, j, 1], q[i, j, 2], q[i, j, 3], q[i, j, 4], q[i, j, 5]
+    e6, e7, e8, e9, e10, e11 = q[i, j, 6], q[i, j, 7], q[i, j, 8], q[i, j, 9], q[i, j, 10], q[i, j, 11]
+    for c in range(out.size):
+        out[c] = (
+            own[i, c] + sent[n, c] + e0 * w[0, c] + e1 * w[1, c] + e2 * w[2, c] + e3 * w[3, c] + e4 * w[4, c]
+            + e5 * w[5, c] + e6 * w[6, c] + e7 * w[7, c] + e8 * w[8, c] + e9 * w[9, c] + e10 * w[10, c] + e11 * w[11, c]
+        )  # fmt: skip
+
+
 @compiled
 def edge_mlp(p: F32, r: F32, nbr: I32, q: F32, w: F32, v: F32, b: F32, out: F32) -> None:
     """out[i, j] = v @ relu(p[i] + r[nbr[i, j]] + q[i, j] @ w) + b.
 
     p (N, H), r (M, H), nbr (N, k), q (N, k, 12), w (12, H), v (O, H), b (O,), out (N, k, O).
     """
-    hidden = np.empty(p.shape[1], np.float32)
+    size = p.shape[1]
+    hidden = np.empty(size, np.float32)
     for i in range(len(out)):
-        own = p[i]
         for j in range(nbr.shape[1]):
-            _values(own, r[np.uint32(nbr[i, j])], q[i, j], w, hidden)
-            for c in range(hidden.size):
+            _values_at(p, i, r, np.uint32(nbr[i, j]), q, j, w, hidden)
+            for c in range(size):
                 hidden[c] = max(hidden[c], np.float32(0))
             for o in range(v.shape[0]):
                 total = b[o]
-                for c in range(hidden.size):
+                for c in range(size):
                     total += hidden[c] * v[o, c]
                 out[i, j, o] = total
+
+
+@compiled
+def layer_norm(x: F32, gain: F32, shift: F32) -> None:
+    """Layer normalization of the rows of x (N, C), in place, as `torch.nn.LayerNorm`."""
+    size = x.shape[1]
+    for i in range(len(x)):
+        total = np.float32(0)
+        for c in range(size):
+            total += x[i, c]
+        mean = total / np.float32(size)
+        total = np.float32(0)
+        for c in range(size):
+            total += (x[i, c] - mean) * (x[i, c] - mean)
+        inverse = np.float32(1) / np.sqrt(total / np.float32(size) + np.float32(1e-5))
+        for c in range(size):
+            x[i, c] = (x[i, c] - mean) * inverse * gain[c] + shift[c]
 
 
 @compiled
@@ -133,11 +165,9 @@ def edge_mlp_backward(
     size = p.shape[1]
     hidden, slope = np.empty(size, np.float32), np.empty(size, np.float32)
     for i in range(nbr.shape[0]):
-        own, back = p[i], grad_p[i]
         for j in range(nbr.shape[1]):
             sender = np.uint32(nbr[i, j])
-            e = q[i, j]
-            _values(own, r[sender], e, w, hidden)
+            _values_at(p, i, r, sender, q, j, w, hidden)
             for c in range(size):
                 hidden[c] = max(hidden[c], np.float32(0))
                 slope[c] = 0
@@ -146,16 +176,18 @@ def edge_mlp_backward(
                 grad_b[o] += g
                 for c in range(size):
                     grad_v[o, c] += g * hidden[c]
+                for c in range(size):
                     slope[c] += g * v[o, c]
-            t = grad_r[sender]
             for c in range(size):
                 slope[c] = slope[c] if hidden[c] > 0 else np.float32(0)
-                back[c] += slope[c]
-                t[c] += slope[c]
+            for c in range(size):
+                grad_p[i, c] += slope[c]
+            for c in range(size):
+                grad_r[sender, c] += slope[c]
             for f in range(12):
-                ef, gw = e[f], grad_w[f]
+                ef = q[i, j, f]
                 for c in range(size):
-                    gw[c] += ef * slope[c]
+                    grad_w[f, c] += ef * slope[c]
 
 
 @compiled

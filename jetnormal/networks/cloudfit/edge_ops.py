@@ -1,4 +1,4 @@
-"""Differentiable operations on the edges of a neighbor graph, over the compiled loops of `edge_kernels`."""
+"""Differentiable operations on the edges of a neighbor graph: compiled loops on the CPU, PyTorch elsewhere."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from jetnormal.networks.cloudfit import edge_kernels as kernels
+from jetnormal.networks.cloudfit import torch_ops
 
 
 class _EdgeMessages(torch.autograd.Function):
@@ -62,6 +63,8 @@ def edge_messages(own: Tensor, sender: Tensor, weight: Tensor, neighbors: Tensor
     Returns:
         (N, C): their maximum in the first half of the channels, their mean in the second.
     """
+    if not torch_ops.has_loops(own):
+        return torch_ops.edge_messages(own, sender, weight, neighbors, features)
     return _EdgeMessages.apply(own, sender, weight, neighbors, features)
 
 
@@ -82,6 +85,8 @@ def edge_mlp(
     Returns:
         (N, k, O).
     """
+    if not torch_ops.has_loops(own):
+        return torch_ops.edge_mlp(own, sender, weight, out_weight, bias, neighbors, features)
     return _EdgeMLP.apply(own, sender, weight, out_weight, bias, neighbors, features)
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import cast
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from jetnormal.geometry.pyramid import Level
-from jetnormal.networks.cloudfit.edge_kernels import FEATURES, edge_features
+from jetnormal.geometry.pyramid import Neighborhood
+from jetnormal.networks.cloudfit import torch_ops
+from jetnormal.networks.cloudfit.config import BALLOTS, FEATURES
+from jetnormal.networks.cloudfit.edge_kernels import edge_features
 from jetnormal.networks.cloudfit.edge_ops import edge_messages, edge_mlp
 from jetnormal.networks.cloudfit.vote_ops import votes
 from jetnormal.networks.eigenvectors import smallest_eigenvector
@@ -18,7 +22,7 @@ from jetnormal.networks.rows import by_rows, for_rows
 
 @dataclass(frozen=True)
 class Nodes:
-    """A level of the pyramid as tensors, see `pyramid.Level`; `sign` tells on which side the centroid is."""
+    """A level of the pyramid as tensors, see `pyramid.Neighborhood`; `sign` tells on which side the centroid is."""
 
     positions: Tensor
     neighbors: Tensor
@@ -28,15 +32,11 @@ class Nodes:
     sign: Tensor
 
     @classmethod
-    def of(cls, level: Level) -> Nodes:
+    def of(cls, level: Neighborhood, device: torch.device) -> Nodes:
         """A level with the normals of its neighbors' planes."""
         arrays = (level.positions, level.neighbors, level.scale, level.normals, level.centroid)
-        positions, neighbors, scale, normals, centroid = (torch.from_numpy(array) for array in arrays)
+        positions, neighbors, scale, normals, centroid = (torch.from_numpy(array).to(device) for array in arrays)
         return cls(positions, neighbors, scale, normals, centroid, sign=scale).turned(normals)
-
-    def rows(self, rows: Tensor) -> Nodes:
-        """The points at (Q,) int64 rows; their neighbors still count among all."""
-        return Nodes(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def turned(self, normals: Tensor) -> Nodes:
         """The same points with other normals."""
@@ -60,13 +60,16 @@ def connect(to: Nodes, sender: Nodes, neighbors: Tensor, unit: Tensor) -> Edges:
     t' their soft signs tanh(3 n.m), s and s' their scales:
     |d|^2, |d|, |n.d|, |n'.d|, (n.n')^2, (n.d)(n'.d)(n.n'), (n.d) t, (n'.d) t', m.d, m'.d, (n.n') t t', log s'/s.
     """
-    own = [t.numpy() for t in (to.positions, to.normals, to.centroid, to.sign, to.scale, unit)]
-    others = [t.numpy() for t in (sender.positions, sender.normals, sender.centroid, sender.sign, sender.scale)]
-
+    own = (to.positions, to.normals, to.centroid, to.sign, to.scale)
+    others = (sender.positions, sender.normals, sender.centroid, sender.sign, sender.scale)
+    if not torch_ops.has_loops(unit):
+        return Edges(neighbors, unit, torch_ops.edge_features(own, unit, others, neighbors))
+    arrays = [t.numpy() for t in (*own, unit)]
+    sent = [t.numpy() for t in others]
     features = torch.empty(*neighbors.shape, FEATURES)
 
     def describe(rows: slice) -> None:
-        edge_features(*(array[rows] for array in own), *others, neighbors[rows].numpy(), features[rows].numpy())
+        edge_features(*(array[rows] for array in arrays), *sent, neighbors[rows].numpy(), features[rows].numpy())
 
     for_rows(describe, len(neighbors))
     return Edges(neighbors, unit, features)
@@ -117,23 +120,37 @@ class EdgeWeights(nn.Module):
 
 
 class ZDirection(nn.Module):
-    """The normals of a level by a vote of neighbors (`vote_ops.votes`) and of the normals that the points have."""
+    """The normals of points by a vote of neighbors (`vote_ops.votes`) and of the normals that the points have.
 
-    def __init__(self, channels: int, sender_channels: int, hidden: int) -> None:
+    Args:
+        channels: features of the points that vote for their own normals.
+        sender_channels: features of the neighbors, for each set of them.
+        hidden: channels of the functions that weigh the votes.
+    """
+
+    def __init__(self, channels: int, sender_channels: tuple[int, ...], hidden: int) -> None:
         super().__init__()
-        self.weights = EdgeWeights(channels, sender_channels, hidden, 3)
+        self.weights = nn.ModuleList(EdgeWeights(channels, width, hidden, BALLOTS) for width in sender_channels)
         self.own = nn.Linear(channels, 1)
 
-    def forward(self, h: Tensor, sender: Tensor, to: Nodes, senders: Nodes, edges: Edges) -> Tensor:
-        """(N, 3) unit normals."""
-        sent = self.weights.project(sender)
+    def forward(self, h: Tensor, to: Nodes, senders: list[tuple[Tensor, Nodes, Edges]]) -> Tensor:
+        """(N, 3) unit normals from (N, C) features of the points, and each set's (M, C') features, nodes and edges."""
+        sent = [weights.project(features) for weights, (features, _, _) in self._sets(senders)]
 
         def vote(rows: slice) -> Tensor:
-            neighbors = edges.neighbors[rows]
-            weights = F.softplus(self.weights(h[rows], sent, neighbors, edges.features[rows]))
-            matrix = votes(weights, to.positions[rows], edges.unit[rows], senders.positions, senders.normals, neighbors)
             before = to.normals[rows]
             own = F.softplus(self.own(h[rows]))[:, :, None]
-            return smallest_eigenvector(matrix - own * (before[:, :, None] * before[:, None]))
+            matrix = -own * (before[:, :, None] * before[:, None])
+            for (weights, (_, nodes, edges)), contribution in zip(self._sets(senders), sent, strict=True):
+                neighbors = edges.neighbors[rows]
+                ballots = F.softplus(weights(h[rows], contribution, neighbors, edges.features[rows]))
+                places = to.positions[rows], edges.unit[rows], nodes.positions, nodes.normals
+                matrix = matrix + votes(ballots, *places, neighbors)
+            return smallest_eigenvector(matrix)
 
         return by_rows(vote, len(h))
+
+    def _sets(
+        self, senders: list[tuple[Tensor, Nodes, Edges]]
+    ) -> Iterator[tuple[EdgeWeights, tuple[Tensor, Nodes, Edges]]]:
+        return zip(cast("Iterable[EdgeWeights]", self.weights), senders, strict=True)

@@ -1,4 +1,4 @@
-"""Compiled loops that turn weighted neighbors into a vote for a normal or into a jet, and their gradients.
+"""Compiled loops that turn weighted neighbors into a vote for a normal, and their gradient.
 
 They run in one thread and release the interpreter lock.
 """
@@ -88,104 +88,37 @@ def votes_backward(x: F64, unit: F32, xj: F64, nj: F32, nbr: I32, weight: F32, g
 
 
 @compiled
-def _monomials(x: float, y: float, order: int, out: F64) -> None:
-    """The monomials of an n-jet in the order of `geometry.jet.exponents`."""
-    out[0] = 1.0
-    start = 0
-    for degree in range(order):
-        for column in range(degree + 1):
-            out[start + degree + 1 + column] = out[start + column] * x
-        out[start + 2 * degree + 2] = out[start + degree] * y
-        start += degree + 1
+def smallest_eigenvectors(matrix: F32, out: F32) -> None:
+    """out (N, 3): unit eigenvectors of the smallest eigenvalues of symmetric matrices (N, 3, 3), of any sign.
 
-
-@compiled
-def _solve(a: F64, b: F64) -> None:
-    """Cholesky's solution of a b' = b, in place; a is positive definite and becomes its factor."""
-    size = len(b)
-    for i in range(size):
-        for j in range(i + 1):
-            total = a[i, j]
-            for k in range(j):
-                total -= a[i, k] * a[j, k]
-            a[i, j] = np.sqrt(max(total, 1e-30)) if i == j else total / a[j, j]
-    _solve_again(a, b)
-
-
-@compiled
-def _solve_again(factor: F64, b: F64) -> None:
-    size = len(b)
-    for i in range(size):
-        for k in range(i):
-            b[i] -= factor[i, k] * b[k]
-        b[i] /= factor[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            b[i] -= factor[k, i] * b[k]
-        b[i] /= factor[i, i]
-
-
-@compiled
-def jets(points: F32, weight: F32, order: int, ridge: F64, beta: F32, factors: F64, scales: F64) -> None:
-    """Fits z = J(x, y) to points (N, k, 3): coefficients (N, T), and for the way back the normal matrices' factors
-    (N, T, T) and the scale (N, T) of each monomial."""
-    size = len(ridge)
-    phi = np.empty(size)
-    for i in range(len(beta)):
-        factor, scale = factors[i], scales[i]
-        total, spread = 1e-30, 1e-30
-        for k in range(points.shape[1]):
-            total += weight[i, k]
-            spread += weight[i, k] * (abs(points[i, k, 0]) + abs(points[i, k, 1]))
-        unit = 2 * total / spread if spread > 1e-12 * total else 1.0
-        right = np.zeros(size)
-        factor[:] = 0
-        for k in range(points.shape[1]):
-            w = weight[i, k] / total
-            _monomials(points[i, k, 0] * unit, points[i, k, 1] * unit, order, phi)
-            for a in range(size):
-                right[a] += w * phi[a] * points[i, k, 2]
-                for b in range(a + 1):
-                    factor[a, b] += w * phi[a] * phi[b]
-        for a in range(size):
-            scale[a] = 1 / np.sqrt(max(factor[a, a], 1e-30))
-        for a in range(size):
-            right[a] *= scale[a]
-            for b in range(a + 1):
-                factor[a, b] *= scale[a] * scale[b]
-            factor[a, a] += ridge[a]
-        _solve(factor, right)
-        power, start = 1.0, 0
-        for degree in range(order + 1):
-            for a in range(start, start + degree + 1):
-                scale[a] *= power
-                beta[i, a] = right[a] * scale[a]
-            start += degree + 1
-            power *= unit
-
-
-@compiled
-def jets_backward(
-    points: F32, weight: F32, order: int, beta: F32, factors: F64, scales: F64, grad: F32, out: F32
-) -> None:
-    """out (N, k): the gradient of the weights of `jets` for a grad (N, T) of its coefficients."""
-    size = beta.shape[1]
-    phi = np.empty(size)
-    back = np.empty(size)
-    for i in range(len(points)):
-        total = 1e-30
-        for k in range(points.shape[1]):
-            total += weight[i, k]
-        for a in range(size):
-            back[a] = grad[i, a] * scales[i, a]
-        _solve_again(factors[i], back)
-        for a in range(size):
-            back[a] *= scales[i, a]
-        for k in range(points.shape[1]):
-            _monomials(points[i, k, 0], points[i, k, 1], order, phi)
-            residual = np.float64(points[i, k, 2])
-            along = 0.0
-            for a in range(size):
-                residual -= phi[a] * beta[i, a]
-                along += phi[a] * back[a]
-            out[i, k] = along * residual / total
+    The eigenvalue is by the trigonometric solution of the cubic (Smith, 1961), in float64; the vector is the longest
+    cross product of two rows of m - value I, all of which are orthogonal to it.
+    """
+    for i in range(len(matrix)):
+        size = 1e-30
+        for a in range(3):
+            for b in range(3):
+                size = max(size, abs(matrix[i, a, b]))
+        xx, yy, zz = matrix[i, 0, 0] / size, matrix[i, 1, 1] / size, matrix[i, 2, 2] / size
+        xy, xz, yz = matrix[i, 0, 1] / size, matrix[i, 0, 2] / size, matrix[i, 1, 2] / size
+        mean = (xx + yy + zz) / 3
+        a, b, c = xx - mean, yy - mean, zz - mean
+        p = max(np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6), 1e-30)
+        half = (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / (2 * p * p * p)
+        value = mean + 2 * p * np.cos(np.arccos(min(max(half, -1.0), 1.0)) / 3 + 2 * np.pi / 3)
+        xx, yy, zz = xx - value, yy - value, zz - value
+        best = 1e-40
+        x, y, z = 0.0, 0.0, 1.0
+        for pair in range(3):
+            if pair == 0:
+                u, v, w = xy * yz - xz * yy, xz * xy - xx * yz, xx * yy - xy * xy
+            elif pair == 1:
+                u, v, w = yy * zz - yz * yz, yz * xz - xy * zz, xy * yz - yy * xz
+            else:
+                u, v, w = yz * xz - zz * xy, zz * xx - xz * xz, xz * xy - yz * xx
+            square = u * u + v * v + w * w
+            if square > best:
+                best = square
+                length = np.sqrt(square)
+                x, y, z = u / length, v / length, w / length
+        out[i, 0], out[i, 1], out[i, 2] = x, y, z

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from scipy.spatial.transform import Rotation
 
 from jetnormal.geometry.pyramid import build_pyramid
-from jetnormal.networks.cloudfit.network import CloudFit, CloudFitConfig, CloudPrediction, tangent_frame
+from jetnormal.networks.cloudfit.config import CloudFitConfig, check_shapes, parameter_shapes
+from jetnormal.networks.cloudfit.inference import Inference
+from jetnormal.networks.cloudfit.network import CloudFit, CloudPrediction
+from jetnormal.networks.cloudfit.torch_ops import plain_torch
 
 TINY = CloudFitConfig(channels=(8, 8, 8), hidden=4, up_layers=(1, 1, 1), down_layers=(1, 1, 0))
 
@@ -21,8 +23,15 @@ def bumpy_sphere(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def predict(network: CloudFit, points: np.ndarray, iterations: int = 1) -> CloudPrediction:
-    encoding = network.encode(build_pyramid(points, len(network.config.channels)))
-    return network.fit(encoding, torch.arange(len(points)), iterations)
+    return network(build_pyramid(points, len(network.config.channels)), iterations)
+
+
+def lines(count: int, apart: float) -> np.ndarray:
+    """About `count` points of a wavy height field in scan lines, `apart` times as far apart as their samples."""
+    number = round(np.sqrt(count / apart))
+    x, y = np.meshgrid(np.linspace(0, 1, round(number * apart)), np.linspace(0, 1, number))
+    xy = np.column_stack([x.ravel(), y.ravel()]) + np.random.default_rng(0).normal(scale=1e-4, size=(x.size, 2))
+    return np.column_stack([xy, 0.1 * np.sin(5 * xy[:, 0]) * np.cos(4 * xy[:, 1])])
 
 
 @pytest.fixture
@@ -38,37 +47,51 @@ def degrees(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def test_shapes_and_unit_length(network: CloudFit):
     points, _ = bumpy_sphere(300)
     prediction = predict(network, points)
-    for normals in (prediction.direction, prediction.rough, prediction.refined):
+    for normals in (prediction.normals, prediction.rough):
         assert normals.shape == (300, 3)
         torch.testing.assert_close(normals.norm(dim=1), torch.ones(300), atol=1e-5, rtol=0)
-    assert prediction.jet.coefficients.shape == (300, 6)
-    assert prediction.confidence.shape == prediction.unit.shape == (300,)
+    assert prediction.confidence.shape == (300,)
+    assert len(prediction.levels[0].positions) == 300
 
 
-def test_the_default_has_2_1_million_parameters():
-    assert sum(parameter.numel() for parameter in CloudFit(CloudFitConfig()).parameters()) == 2_129_273
+def test_the_default_has_2_9_million_parameters():
+    assert sum(parameter.numel() for parameter in CloudFit(CloudFitConfig()).parameters()) == 2_865_184
 
 
 @pytest.mark.parametrize("iterations", [1, 3])
-def test_the_result_turns_moves_scales_and_permutes_with_the_cloud(network: CloudFit, iterations: int):
-    points, _ = bumpy_sphere(800)
+@pytest.mark.parametrize("points", [bumpy_sphere(800)[0], lines(3000, 10)], ids=["sphere", "lines"])
+def test_the_result_turns_moves_scales_and_permutes_with_the_cloud(
+    network: CloudFit, points: np.ndarray, iterations: int
+):
     turn = Rotation.from_euler("xyz", [1.0, 0.4, -2.0]).as_matrix()
     order = np.random.default_rng(1).permutation(len(points))
     moved = (points @ turn.T * 1e-3 + [5000.0, -3000.0, 10.0])[order]
     before, after = predict(network, points, iterations), predict(network, moved, iterations)
-    expected = before.refined.numpy()[order] @ turn.T
-    assert degrees(expected, after.refined.numpy()).max() < 0.05
+    expected = before.normals.numpy()[order] @ turn.T
+    assert degrees(expected, after.normals.numpy()).max() < 0.05
     torch.testing.assert_close(after.confidence, before.confidence[order], atol=1e-3, rtol=0)
-    torch.testing.assert_close(after.unit, 1e-3 * before.unit[order], atol=0, rtol=1e-4)
+
+
+def test_points_that_the_finest_level_leaves_out_get_normals_of_their_own(network: CloudFit):
+    points = lines(3000, 10)
+    pyramid = build_pyramid(points, 3)
+    prediction = network(pyramid)
+    assert len(pyramid.left_out) > 1000
+    assert len(prediction.normals) == len(points)
+    normals, origins = prediction.directions[-1]
+    assert torch.equal(prediction.normals[origins], normals)
+    assert np.array_equal(origins.numpy(), pyramid.left_out)
+    nearest = prediction.levels[0].normals[torch.from_numpy(pyramid.carried.neighbors[:, 0]).long()]
+    assert (normals != nearest).any()
 
 
 def test_the_signs_of_the_first_normals_do_not_matter(network: CloudFit):
     points, _ = bumpy_sphere(500)
     pyramid = build_pyramid(points, 3)
-    expected = network.fit(network.encode(pyramid), torch.arange(500)).refined.numpy()
-    for level in pyramid:
+    expected = network(pyramid).normals.numpy()
+    for level in pyramid.levels:
         level.normals[::2] *= -1
-    assert degrees(expected, network.fit(network.encode(pyramid), torch.arange(500)).refined.numpy()).max() < 0.01
+    assert degrees(expected, network(pyramid).normals.numpy()).max() < 0.01
 
 
 def test_threads_and_chunks_do_not_change_a_bit(network: CloudFit):
@@ -79,7 +102,7 @@ def test_threads_and_chunks_do_not_change_a_bit(network: CloudFit):
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
             with torch.inference_mode():
-                results.append(predict(network, points).refined)
+                results.append(predict(network, points).normals)
     finally:
         torch.set_num_threads(before)
     assert torch.equal(results[0], results[1])
@@ -92,21 +115,48 @@ def test_chunks_give_what_one_call_with_gradients_gives(network: CloudFit):
         fast = predict(network, points)
     network.requires_grad_(True)
     whole = predict(network, points)
-    difference = degrees(fast.refined.numpy(), whole.refined.detach().numpy())
+    difference = degrees(fast.normals.numpy(), whole.normals.detach().numpy())
     assert np.sqrt(np.mean(difference**2)) < 0.05
 
 
+def test_plain_pytorch_gives_what_the_compiled_loops_give(network: CloudFit):
+    points = lines(3000, 10)
+    compiled = predict(network, points)
+    with plain_torch():
+        plain = predict(network, points)
+    assert degrees(compiled.normals.numpy(), plain.normals.numpy()).max() < 0.01
+    torch.testing.assert_close(compiled.confidence, plain.confidence, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("iterations", [1, 2])
+def test_inference_without_pytorch_gives_the_same(network: CloudFit, iterations: int):
+    pyramid = build_pyramid(lines(9000, 10), 3)
+    weights = {name: values.numpy() for name, values in network.state_dict().items()}
+    expected = network(pyramid, iterations)
+    results = [Inference(TINY, weights)(pyramid, iterations, threads) for threads in (1, 3)]
+    assert degrees(results[0].normals, expected.normals.numpy()).max() < 0.05
+    assert degrees(results[0].rough, expected.rough.numpy()).max() < 0.05
+    np.testing.assert_allclose(results[0].confidence, expected.confidence.numpy(), atol=0.02)
+    np.testing.assert_array_equal(results[0].normals, results[1].normals)  # whatever the threads
+
+
+@pytest.mark.parametrize("config", [TINY, CloudFitConfig()])
+def test_the_shapes_of_the_parameters_follow_from_the_configuration(config: CloudFitConfig):
+    shapes = {name: tuple(values.shape) for name, values in CloudFit(config).state_dict().items()}
+    assert shapes == parameter_shapes(config)
+    check_shapes(config, shapes)
+    for wrong in (shapes | {"carry.edge": (1, 1)}, shapes | {"more": (1,)}, dict(list(shapes.items())[1:])):
+        with pytest.raises(ValueError, match=r"carry\.edge|more|without"):
+            check_shapes(config, wrong)
+
+
 def test_every_parameter_gets_a_gradient():
-    points, normals = bumpy_sphere(400)
+    points = lines(3000, 10)
     network = CloudFit(TINY)
-    encoding = network.encode(build_pyramid(points, 3))
-    prediction = network.fit(encoding, torch.arange(400))
-    true = torch.from_numpy(normals).float()
-    loss = sum((1 - (found * true[origin]).sum(1).abs()).mean() for found, origin in encoding.directions)
-    loss = loss + prediction.confidence.mean()
-    for found in (prediction.direction, prediction.rough, prediction.refined):
-        loss = loss + (1 - (found * true).sum(1).abs()).mean()
-    loss.backward()
+    prediction = predict(network, points)
+    true = torch.tensor([0.0, 0.0, 1.0])
+    loss = sum((1 - (found * true).sum(1).abs()).mean() for found, _ in prediction.directions)
+    (loss + prediction.confidence.mean()).backward()
     for name, parameter in network.named_parameters():
         assert parameter.grad is not None, name
         assert parameter.grad.isfinite().all(), name
@@ -123,9 +173,8 @@ def test_a_few_steps_learn_a_noisy_edge():
     network = CloudFit(TINY)
     optimizer = torch.optim.Adam(network.parameters(), lr=1e-2)
     losses = []
-    for _ in range(30):
-        prediction = network.fit(network.encode(pyramid), torch.arange(600))
-        loss = sum((1 - (n * true).sum(1).abs()).mean() for n in (prediction.direction, prediction.refined))
+    for _ in range(80):
+        loss = (1 - (network(pyramid).normals * true).sum(1).abs()).mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -133,19 +182,11 @@ def test_a_few_steps_learn_a_noisy_edge():
     assert losses[-1] < 0.6 * losses[0]
 
 
-def test_tangent_frames_are_rotations_with_z_last():
-    z = F.normalize(torch.cat([torch.randn(50, 3), torch.tensor([[0.0, 0, 1], [0, 0, -1], [1, 0, 0]])]), dim=1)
-    frame = tangent_frame(z)
-    torch.testing.assert_close(frame @ frame.transpose(1, 2), torch.eye(3).expand(53, 3, 3), atol=1e-5, rtol=0)
-    torch.testing.assert_close(torch.linalg.det(frame), torch.ones(53), atol=1e-5, rtol=0)
-    torch.testing.assert_close(frame[:, :, 2], z)
-
-
 @pytest.mark.parametrize(
     "change",
-    [{"channels": (8, 8)}, {"channels": (8, 7, 8)}, {"order": 5}, {"hidden": 0}, {"up_layers": (1, 1)}],
+    [{"channels": (8, 8)}, {"channels": (8, 7, 8)}, {"hidden": 0}, {"up_layers": (1, 1)}],
 )
 def test_impossible_configurations_are_refused(change: dict):
     fields = {"channels": (8, 8, 8), "hidden": 4, "up_layers": (1, 1, 1), "down_layers": (1, 1, 0)}
-    with pytest.raises(ValueError, match=r"channels|order"):
+    with pytest.raises(ValueError, match="channels"):
         CloudFitConfig(**(fields | change))

@@ -1,0 +1,99 @@
+"""What rebuilds a CloudFit network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+NODE_FEATURES = 5  # of a point: three variances, the tilt and the length of the centroid
+COARSE_NEIGHBORS = 9  # of the next level that vote for a point
+FEATURES = 12  # invariants of an edge
+BALLOTS = 3  # weights of a neighbor's votes: its offset, its normal, its normal mirrored
+
+
+@dataclass(frozen=True)
+class CloudFitConfig:
+    """What rebuilds a CloudFit network.
+
+    Attributes:
+        channels: of the levels, the finest first; even numbers.
+        hidden: channels of the functions that weigh edges.
+        up_layers, down_layers: edge convolutions of each level on the way up and on the way down.
+
+    Raises:
+        ValueError: if the levels disagree or a number is out of range.
+    """
+
+    channels: tuple[int, ...] = (64, 128, 192, 192, 192, 192)
+    hidden: int = 32
+    up_layers: tuple[int, ...] = (0, 1, 2, 2, 2, 2)
+    down_layers: tuple[int, ...] = (1, 2, 2, 2, 2, 0)
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.channels) == len(self.up_layers) == len(self.down_layers):
+            raise ValueError("channels and layers must tell of the same levels, one or more")
+        if any(width < 2 or width % 2 for width in self.channels) or self.hidden < 1:
+            raise ValueError("channels are positive even numbers")
+
+    @classmethod
+    def from_description(cls, fields: dict[str, Any]) -> CloudFitConfig:
+        """The configuration that a model file holds as JSON.
+
+        Raises:
+            TypeError, ValueError: a field is unknown, missing or out of range.
+        """
+        values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in fields.items()}
+        return cls(**values)
+
+
+def check_shapes(config: CloudFitConfig, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Compare the shapes of parameters with those of a configuration, before any of them is used.
+
+    Raises:
+        ValueError: a parameter is missing, unknown, or of another shape.
+    """
+    expected = parameter_shapes(config)
+    if missing := expected.keys() - shapes.keys():
+        raise ValueError(f"without {min(missing)}")
+    if unknown := shapes.keys() - expected.keys():
+        raise ValueError(f"with the unknown {min(unknown)}")
+    for name, shape in expected.items():
+        if tuple(shapes[name]) != shape:
+            raise ValueError(f"{name} has the shape {tuple(shapes[name])}, not {shape}")
+
+
+def parameter_shapes(config: CloudFitConfig) -> dict[str, tuple[int, ...]]:
+    """The shape of each parameter of the network, by its name there."""
+    c, hidden = config.channels, config.hidden
+    shapes: dict[str, tuple[int, ...]] = {}
+    for number, width in enumerate(c):
+        shapes |= _linear(f"embed.{number}", NODE_FEATURES, width)
+        for direction, counts in (("up", config.up_layers), ("down", config.down_layers)):
+            for layer in range(counts[number]):
+                shapes |= _edge_conv(f"{direction}.{number}.{layer}", width, width)
+        shapes |= _z_direction(f"direction.{number}", width, c[number : number + 2], hidden)
+    for number, (fine, coarse) in enumerate(pairwise(c)):
+        shapes |= _edge_conv(f"pool.{number}", coarse, fine) | _edge_conv(f"unpool.{number}", fine, coarse)
+        shapes |= _z_direction(f"interpolate.{number}", fine, (coarse,), hidden)
+    shapes |= _edge_conv("carry", c[0], c[0]) | _z_direction("carried_direction", c[0], c[:1], hidden)
+    return shapes | _linear("confidence.0", c[0] + 1, hidden) | _linear("confidence.2", hidden, 1)
+
+
+def _linear(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
+
+
+def _edge_conv(name: str, width: int, sender: int) -> dict[str, tuple[int, ...]]:
+    shapes = _linear(f"{name}.own", width, width) | _linear(f"{name}.out", width, width)
+    shapes |= {f"{name}.norm.weight": (width,), f"{name}.norm.bias": (width,)}
+    return shapes | {f"{name}.sender.weight": (width, sender), f"{name}.edge": (FEATURES, width)}
+
+
+def _z_direction(name: str, width: int, senders: tuple[int, ...], hidden: int) -> dict[str, tuple[int, ...]]:
+    shapes = _linear(f"{name}.own", width, 1)
+    for number, sender in enumerate(senders):
+        part = f"{name}.weights.{number}"
+        shapes |= _linear(f"{part}.own", width, hidden) | _linear(f"{part}.out", hidden, BALLOTS)
+        shapes |= {f"{part}.sender.weight": (hidden, sender), f"{part}.edge": (FEATURES, hidden)}
+    return shapes

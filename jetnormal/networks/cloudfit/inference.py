@@ -1,0 +1,300 @@
+"""CloudFit without PyTorch: NumPy's matrix products around the compiled loops.
+
+To estimate normals on a CPU needs no gradients, and importing PyTorch takes longer than a network takes for a cloud of
+50,000 points. This is `network.CloudFit.forward` step by step; the tests hold both to the same result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from jetnormal.errors import ModelError
+from jetnormal.geometry.pyramid import SAME, Level, Neighborhood, Pyramid
+from jetnormal.networks.cloudfit import edge_kernels, vote_kernels
+from jetnormal.networks.cloudfit.config import BALLOTS, COARSE_NEIGHBORS, FEATURES, CloudFitConfig, check_shapes
+from jetnormal.networks.model_file import read_model_file
+from jetnormal.support.device import available_cores
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
+
+CHUNK = 4096  # rows computed at a time by a thread: what they need stays in its cache
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Points with normals, see `layers.Nodes`; `sign` tells on which side of the normal the centroid is."""
+
+    neighborhood: Neighborhood
+    normals: F32
+    sign: F32
+
+    @classmethod
+    def of(cls, neighborhood: Neighborhood) -> Surface:
+        """Points with the normals of their neighbors' planes."""
+        return cls(neighborhood, neighborhood.normals, neighborhood.scale).turned(neighborhood.normals)
+
+    def turned(self, normals: F32) -> Surface:
+        """The same points with other normals."""
+        sign = np.tanh(3 * np.einsum("ij,ij->i", normals, self.neighborhood.centroid))
+        return replace(self, normals=normals, sign=sign)
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edges to points from others: (N, k) neighbors, (N,) unit of length and (N, k, 12) invariants."""
+
+    neighbors: I32
+    unit: F32
+    features: F32
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the network says of the N points of a cloud; see `network.CloudPrediction`.
+
+    Attributes:
+        normals: (N, 3) unit vectors of any sign.
+        rough: (N, 3) what they were before the last vote.
+        confidence: (N,) logit of the probability that a normal is off by less than 10 degrees.
+        levels: (n, 3) normals of each level of the pyramid.
+    """
+
+    normals: F32
+    rough: F32
+    confidence: F32
+    levels: list[F32]
+
+
+class Inference:
+    """A trained CloudFit network, ready to be called on the CPU.
+
+    Args:
+        config: of the network.
+        weights: its parameters by the names that `network.CloudFit` gives them.
+
+    Raises:
+        ValueError: a parameter is missing, or has another shape than the configuration says.
+    """
+
+    def __init__(self, config: CloudFitConfig, weights: dict[str, F32]) -> None:
+        self.config = config
+        check_shapes(config, {name: values.shape for name, values in weights.items()})
+        self._weights = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in weights.items()}
+
+    @classmethod
+    def load(cls, path: Path) -> Inference:
+        """A network from a model file.
+
+        Raises:
+            ModelError: the file is missing, damaged, or holds another network.
+        """
+        weights, description = read_model_file(path)
+        try:
+            return cls(CloudFitConfig.from_description(description["config"]), weights)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ModelError(f"{path}: its configuration and its weights do not fit ({error})") from error
+
+    def __call__(self, pyramid: Pyramid, iterations: int = 1, threads: int | None = None) -> Found:
+        """Find the normals of a cloud.
+
+        Args:
+            pyramid: of the cloud, with as many levels as the network.
+            iterations: of the last vote: from the second on, it starts from the normals of the one before.
+            threads: CPU threads; None for all cores. The result does not depend on them.
+        """
+        with threadpool_limits(1, "blas"), ThreadPoolExecutor(threads or available_cores()) as pool:
+            return _Pass(self.config, self._weights, pool).run(pyramid, iterations)
+
+
+class _Pass:
+    """One pass of the network over a cloud; methods are called as the modules of `network.CloudFit`."""
+
+    def __init__(self, config: CloudFitConfig, weights: dict[str, F32], pool: ThreadPoolExecutor) -> None:
+        self._config = config
+        self._w = weights
+        self._pool = pool
+
+    def run(self, pyramid: Pyramid, iterations: int) -> Found:
+        levels = pyramid.levels
+        surfaces = [Surface.of(level) for level in levels]
+        h = self._ascend(levels, surfaces)
+        rough = normals = surfaces[-1].normals
+        for number in range(len(levels) - 1, -1, -1):
+            here = surfaces[number]
+            if number + 1 < len(levels):
+                above, parents = surfaces[number + 1], levels[number].parents
+                edges = self._connect(here, above, parents, levels[number + 1].scale[parents[:, 0]])
+                h[number] = self._edge_conv(f"unpool.{number}", h[number], h[number + 1], edges)
+                rough = self._vote(f"interpolate.{number}", h[number], here, [(h[number + 1], above, edges)])
+                here = here.turned(rough)
+            edges = self._connect(here, here, levels[number].neighbors, levels[number].scale)
+            for layer in range(self._config.down_layers[number]):
+                h[number] = self._edge_conv(f"down.{number}.{layer}", h[number], h[number], edges)
+            normals = self._last_vote(number, levels, h, here, surfaces, edges)
+            surfaces[number] = here.turned(normals)
+        for _ in range(1, iterations):
+            edges = self._connect(surfaces[0], surfaces[0], levels[0].neighbors, levels[0].scale)
+            rough, normals = normals, self._last_vote(0, levels, h, surfaces[0], surfaces, edges)
+            surfaces[0] = surfaces[0].turned(normals)
+        confidence = self._confidence(h[0], normals, rough)
+        if len(pyramid.left_out):
+            carried = self._carry(pyramid.carried, surfaces[0], h[0])
+            place = np.argsort(np.concatenate([pyramid.kept, pyramid.left_out]))
+            kept = (normals, rough, confidence)
+            normals, rough, confidence = (np.concatenate(pair)[place] for pair in zip(kept, carried, strict=True))
+        return Found(normals, rough, confidence, [surface.normals for surface in surfaces])
+
+    def _ascend(self, levels: list[Level], surfaces: list[Surface]) -> list[F32]:
+        features: list[F32] = []
+        for number, here in enumerate(surfaces):
+            h = self._embed(number, here)
+            if number:
+                below, chosen = surfaces[number - 1], levels[number - 1].chosen
+                own = _with_itself(chosen, levels[number - 1])
+                edges = self._connect(here, below, own, levels[number - 1].scale[chosen])
+                h = self._edge_conv(f"pool.{number - 1}", h, features[number - 1], edges)
+            if self._config.up_layers[number]:
+                edges = self._connect(here, here, levels[number].neighbors, levels[number].scale)
+                for layer in range(self._config.up_layers[number]):
+                    h = self._edge_conv(f"up.{number}.{layer}", h, h, edges)
+            features.append(h)
+        return features
+
+    def _embed(self, number: int, here: Surface) -> F32:
+        shape = here.neighborhood
+        tilt = np.abs(np.einsum("ij,ij->i", here.normals, shape.centroid))[:, None]
+        length = np.sqrt(np.einsum("ij,ij->i", shape.centroid, shape.centroid))[:, None]
+        return self._linear(f"embed.{number}", np.concatenate([shape.variance, tilt, length], axis=1))
+
+    def _last_vote(
+        self, number: int, levels: list[Level], h: list[F32], here: Surface, surfaces: list[Surface], edges: Edges
+    ) -> F32:
+        senders = [(h[number], here, edges)]
+        if number + 1 < len(levels):
+            above, parent = levels[number + 1], levels[number].parents[:, 0]
+            neighbors = np.ascontiguousarray(_with_itself(parent, above)[:, :COARSE_NEIGHBORS])
+            wide = self._connect(here, surfaces[number + 1], neighbors, above.scale[parent])
+            senders.append((h[number + 1], surfaces[number + 1], wide))
+        return self._vote(f"direction.{number}", h[number], here, senders)
+
+    def _carry(self, carried: Neighborhood, level: Surface, h: F32) -> tuple[F32, F32, F32]:
+        nearest = carried.neighbors[:, 0]
+        rough = level.normals[nearest]
+        shape = Surface.of(carried)
+        features = self._embed(0, shape)
+        here = shape.turned(rough)
+        edges = self._connect(here, level, carried.neighbors, carried.scale)
+        features = self._edge_conv("carry", features, h, edges)
+        normals = self._vote("carried_direction", features, here, [(h, level, edges)])
+        apart = np.linalg.norm(carried.positions - level.neighborhood.positions[nearest], axis=1)
+        normals = np.where((apart <= SAME * level.neighborhood.scale[nearest])[:, None], rough, normals)
+        return normals, rough, self._confidence(features, normals, rough)
+
+    def _confidence(self, h: F32, normals: F32, rough: F32) -> F32:
+        def rate(rows: slice) -> F32:
+            change = 1 - np.abs(np.einsum("ij,ij->i", normals[rows], rough[rows]))[:, None]
+            hidden = self._linear("confidence.0", np.concatenate([h[rows], 10 * change], axis=1))
+            return self._linear("confidence.2", np.maximum(hidden, 0))[:, 0]
+
+        return self._by_rows(rate, len(h), ())
+
+    def _connect(self, to: Surface, sender: Surface, neighbors: I32, unit: F32) -> Edges:
+        """See `layers.connect`."""
+        features = np.empty((*neighbors.shape, FEATURES), np.float32)
+        shape, other = to.neighborhood, sender.neighborhood
+        own = (shape.positions, to.normals, shape.centroid, to.sign, shape.scale, unit)
+        others = (other.positions, sender.normals, other.centroid, sender.sign, other.scale)
+
+        def describe(rows: slice) -> None:
+            edge_kernels.edge_features(*(a[rows] for a in own), *others, neighbors[rows], features[rows])
+
+        self._for_rows(describe, len(neighbors))
+        return Edges(neighbors, unit, features)
+
+    def _edge_conv(self, name: str, h: F32, sender: F32, edges: Edges) -> F32:
+        """See `layers.EdgeConv`."""
+        sent = self._product(f"{name}.sender", sender)
+        weight, gain, shift = (self._w[f"{name}.{key}"] for key in ("edge", "norm.weight", "norm.bias"))
+
+        def layer(rows: slice) -> F32:
+            own = self._linear(f"{name}.own", h[rows])
+            messages = np.empty_like(own)
+            edge_kernels.edge_messages(own, sent, edges.neighbors[rows], edges.features[rows], weight, messages)
+            edge_kernels.layer_norm(messages, gain, shift)
+            return h[rows] + self._linear(f"{name}.out", messages)
+
+        return self._by_rows(layer, len(h), (h.shape[1],))
+
+    def _vote(self, name: str, h: F32, to: Surface, senders: list[tuple[F32, Surface, Edges]]) -> F32:
+        """See `layers.ZDirection`."""
+        names = [f"{name}.weights.{number}" for number in range(len(senders))]
+        sent = [
+            self._product(f"{part}.sender", features) for part, (features, _, _) in zip(names, senders, strict=True)
+        ]
+        positions = to.neighborhood.positions
+
+        def vote(rows: slice) -> F32:
+            before = to.normals[rows]
+            own = _softplus(self._linear(f"{name}.own", h[rows]))
+            matrix = -own[:, :, None] * (before[:, :, None] * before[:, None])
+            added = np.empty_like(matrix)
+            for part, contribution, (_, surface, edges) in zip(names, sent, senders, strict=True):
+                ballots = self._ballots(part, h[rows], contribution, edges, rows)
+                places = positions[rows], edges.unit[rows], surface.neighborhood.positions, surface.normals
+                vote_kernels.votes(*places, edges.neighbors[rows], ballots, added)
+                matrix += added
+            normals = np.empty((len(matrix), 3), np.float32)
+            vote_kernels.smallest_eigenvectors(matrix, normals)
+            return normals
+
+        return self._by_rows(vote, len(h), (3,))
+
+    def _ballots(self, name: str, h: F32, sent: F32, edges: Edges, rows: slice) -> F32:
+        """See `layers.EdgeWeights`; (n, k, 3) non-negative weights of votes."""
+        own = self._linear(f"{name}.own", h)
+        out = np.empty((*edges.neighbors[rows].shape, BALLOTS), np.float32)
+        parameters = (self._w[f"{name}.{key}"] for key in ("edge", "out.weight", "out.bias"))
+        edge_kernels.edge_mlp(own, sent, edges.neighbors[rows], edges.features[rows], *parameters, out)
+        return _softplus(out)
+
+    def _linear(self, name: str, x: F32) -> F32:
+        return x @ self._w[f"{name}.weight"].T + self._w[f"{name}.bias"]
+
+    def _product(self, name: str, x: F32) -> F32:
+        weight = self._w[f"{name}.weight"]
+        return self._by_rows(lambda rows: x[rows] @ weight.T, len(x), (len(weight),))
+
+    def _for_rows(self, work: Callable[[slice], object], count: int) -> None:
+        """Call work(rows) for the rows 0 to count, in chunks whose size does not depend on the number of threads."""
+        chunks = (slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK))
+        if count <= CHUNK:
+            work(slice(0, count))
+        else:
+            list(self._pool.map(work, chunks))
+
+    def _by_rows(self, function: Callable[[slice], F32], count: int, shape: tuple[int, ...]) -> F32:
+        """function(rows) for the rows 0 to count, put together."""
+        out = np.empty((count, *shape), np.float32)
+
+        def work(rows: slice) -> None:
+            out[rows] = function(rows)
+
+        self._for_rows(work, count)
+        return out
+
+
+def _with_itself(points: NDArray[np.integer], level: Level) -> I32:
+    """(Q, 17) int32: each of the (Q,) points and its neighbors."""
+    return np.concatenate([points.astype(np.int32)[:, None], level.neighbors[points]], axis=1)
+
+
+def _softplus(x: F32) -> F32:
+    return np.maximum(x, 0) + np.log(1 + np.exp(-np.abs(x)))

@@ -1,0 +1,51 @@
+"""Model files: safetensors whose metadata holds the configuration that rebuilds the network, read without PyTorch."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+
+from jetnormal.errors import ModelError
+
+FORMAT = "jetnormal-1"
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """Read what a model file says of itself: architecture, config, training.
+
+    Raises:
+        ModelError: the file is missing, damaged, or of another program.
+    """
+    return _read(path, with_weights=False)[1]
+
+
+def read_model_file(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """Read the weights of a model file and what it says of itself.
+
+    Raises:
+        ModelError: the file is missing, damaged, of another program, or holds weights that are not finite.
+    """
+    arrays, description = _read(path, with_weights=True)
+    for name, values in arrays.items():
+        if not np.isfinite(values).all():
+            raise ModelError(f"{path}: {name} is not finite; train the model again")
+    return arrays, description
+
+
+def _read(path: Path, with_weights: bool) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    if not path.is_file():
+        raise ModelError(f"{path}: no such model file")
+    try:
+        with safe_open(path, framework="np") as file:
+            text = file.metadata() or {}
+            if text.get("format") != FORMAT:
+                raise ModelError(f"{path}: not a model of jetnormal; train one with `jetnormal train`")
+            names = file.keys() if with_weights else ()
+            return {name: file.get_tensor(name) for name in names}, dict(json.loads(text["description"]))
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise ModelError(f"{path}: damaged or not a safetensors file ({error})") from error

@@ -1,0 +1,48 @@
+"""Relief: the normals are those of the moved surface."""
+
+import numpy as np
+import pytest
+
+from jetnormal.data.relief import STEEPEST, add_relief
+from jetnormal.data.sources import SyntheticSolids, WithRelief
+
+
+def plane(side: int) -> tuple[np.ndarray, np.ndarray]:
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side), [0.0]), axis=-1).reshape(-1, 3)
+    return grid, np.tile([0.0, 0.0, 1.0], (len(grid), 1))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_normals_are_those_of_the_moved_surface(seed: int):
+    points, normals = plane(150)
+    moved, tilted = add_relief(points, normals, np.random.default_rng(seed))
+    np.testing.assert_allclose(np.linalg.norm(tilted, axis=1), 1)
+    np.testing.assert_array_equal(moved[:, :2], points[:, :2])  # along the normals alone
+    step = 1e-6  # a moved plane is under the same field
+    ahead = [add_relief(points + step * np.eye(3)[axis], normals, np.random.default_rng(seed))[0] for axis in (0, 1)]
+    slope = np.column_stack([ahead[axis][:, 2] - moved[:, 2] for axis in (0, 1)]) / step
+    expected = np.column_stack([-slope, np.ones(len(points))])
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(tilted, expected, atol=1e-3)
+    assert np.degrees(np.arccos(tilted[:, 2])).max() > 2
+
+
+def test_the_slope_is_bounded_and_equal_seeds_give_equal_reliefs():
+    points, normals = plane(100)
+    for seed in range(8):
+        _, tilted = add_relief(points, normals, np.random.default_rng(seed))
+        slope = np.linalg.norm(tilted[:, :2], axis=1) / tilted[:, 2]
+        assert np.sqrt(np.mean(slope**2)) < 1.5 * STEEPEST
+    again = [add_relief(points, normals, np.random.default_rng(3))[1] for _ in range(2)]
+    np.testing.assert_array_equal(*again)
+
+
+def test_a_source_with_relief_leaves_noisy_clouds_alone():
+    plain = SyntheticSolids(clouds_per_epoch=12, points=300)
+    source = WithRelief(plain, 1.0)
+    assert source.clouds_per_epoch == 12
+    for index in range(12):
+        before, after = plain.cloud(0, index, 1), source.cloud(0, index, 1)
+        changed = not np.array_equal(before.points, after.points)
+        assert changed == (not before.name.endswith(("_medium", "_high")))
+        np.testing.assert_array_equal(after.points, source.cloud(0, index, 1).points)
