@@ -1,4 +1,4 @@
-"""`jetnormal dataset`: clouds with known normals from meshes or procedural solids."""
+"""`jetnormal dataset`: clouds with known normals from meshes, procedural solids or scenes, sampled or scanned."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.errors import UsageError
 from jetnormal.support.report import logger, print_json
 
 
@@ -18,7 +19,19 @@ def dataset(
         typer.Option(metavar="DIR", help="Folder of meshes (.ply .obj .off .stl .glb .gltf .npz), a shape each."),
     ] = None,
     synthetic: Annotated[int, typer.Option(min=0, metavar="N", help="Number of procedural solids, a shape each.")] = 0,
-    points: Annotated[int, typer.Option(min=3, metavar="N", help="Points of each cloud.")] = 100_000,
+    scenes: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of meshes of real scenes, or with a folder for each, as SceneNN's."),
+    ] = None,
+    synthetic_scenes: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Number of procedural scenes: rooms, streets and terrain in turn.")
+    ] = 0,
+    scans: Annotated[
+        bool, typer.Option("--scans", help="Scan the shapes by virtual scanners instead of sampling them.")
+    ] = False,
+    points: Annotated[
+        int, typer.Option(min=3, metavar="N", help="Points of each cloud; a scan has about as many, at most these.")
+    ] = 100_000,
     queries: Annotated[
         int, typer.Option(min=1, metavar="N", help="Points of each cloud in its .pidx, at most.")
     ] = 5_000,
@@ -34,23 +47,42 @@ def dataset(
     """Write a benchmark or a training set in PCPNet's layout.
 
     Of each shape come PCPNet's six categories: clean points, three levels of Gaussian noise (0.125, 0.6 and 1.2 %
-    of the bounding box's diagonal), and points whose density has a gradient or stripes. A cloud is NAME.xyz,
-    NAME.normals and NAME.pidx, the points to evaluate or to learn from; lists of clouds are testset_*.txt, or
-    trainingset_*.txt and validationset_*.txt (no_noise, whitenoise, vardensity_whitenoise). The same options give
-    the same bytes.
+    of the bounding box's diagonal), and points whose density has a gradient or stripes. With --scans they are what
+    six families of scanners see: stripe, depth, lidar, station, fused, photogrammetry. A scene gives one cloud of
+    sampled points, or with --scans, if it is procedural, one for each scanner that may stand in it.
+
+    A cloud is NAME.xyz, NAME.normals and NAME.pidx, the points to evaluate or to learn from: stray points of a scan
+    are not among them. Of a scan, NAME.ply holds the points once more, with attributes sensor_x, sensor_y, sensor_z.
+    Lists of clouds are testset_*.txt, one for each category, or trainingset_*.txt and validationset_*.txt (no_noise,
+    whitenoise, vardensity_whitenoise). The same options give the same bytes.
 
     \b
     Examples:
       jetnormal dataset --meshes meshes -o benchmark
       jetnormal dataset --synthetic 8 -o benchmark --points 20000
       jetnormal dataset --synthetic 50 --split training --seed 2 -o training
+      jetnormal dataset --meshes meshes --synthetic-scenes 6 --scans -o scans
+      jetnormal dataset --scenes scenenn -o scenes
       jetnormal evaluate --data benchmark --model cloudfit
+      jetnormal evaluate --data scans --model cloudfit --orient viewpoint
+      jetnormal estimate scans/cat_lidar.ply -o cat.ply --viewpoint-attribute sensor_x,sensor_y,sensor_z
     """
     set_verbosity(quiet, verbose)
+    if scans and scenes:
+        raise UsageError("--scans contradicts --scenes: nothing tells where a scanner may stand in these scenes")
     from jetnormal.data.write_benchmark import DatasetOptions, write_dataset
 
     options = DatasetOptions(points, queries, split, seed)
-    clouds = write_dataset(out, options, meshes=meshes, solids=synthetic, overwrite=force)
+    clouds = write_dataset(
+        out,
+        options,
+        meshes=meshes,
+        solids=synthetic,
+        scene_meshes=scenes,
+        scenes=synthetic_scenes,
+        scans=scans,
+        overwrite=force,
+    )
     logger.info("%d clouds in %s", len(clouds), out)
     if json:
         print_json({"output": str(out), "clouds": clouds, "points": points, "seed": seed})

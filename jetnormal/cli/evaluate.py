@@ -33,8 +33,8 @@ def evaluate(
         bool, typer.Option("--all-points", help="Evaluate all points, not those in NAME.pidx.")
     ] = False,
     orient: Annotated[
-        Literal["none", "global", "mst", "up"],
-        typer.Option(help="Choose signs, and score them, too; estimates all points."),
+        Literal["none", "global", "mst", "viewpoint", "up"],
+        typer.Option(help="Choose signs, and score them, too; estimates all points. viewpoint: by NAME.ply of a scan."),
     ] = "none",
     results: Annotated[
         Path | None,
@@ -58,8 +58,8 @@ def evaluate(
 
     The protocol is that of the PCPNet benchmark: the error of a cloud is the RMSE, in degrees, of the angle
     between estimated and true normals without signs, over the points in NAME.pidx (all where there is none).
-    Clouds are averaged by category, and the categories once more. A category is known by PCPNet's lists in DIR,
-    else by the ends of the names.
+    Clouds are averaged by category, and the categories once more. A list testset_CATEGORY.txt in DIR makes a
+    category; PCPNet's are known by the ends of the names, too.
 
     PGP is the share of points whose error is below 5 or 10 degrees, and AUC30 the area under the curve of that
     share up to 30 degrees. The RMSE to clean compares noisy clouds with the nearest normal of their clean twin.

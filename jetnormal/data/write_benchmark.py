@@ -1,29 +1,31 @@
-"""Set of clouds in PCPNet's layout, drawn from meshes or procedural solids.
+"""Set of clouds in PCPNet's layout, drawn from meshes, procedural solids or scenes.
 
-Of each shape come PCPNet's six categories: clean points; the same points under three levels of noise; and two clouds
-of uneven density, a gradient and stripes.
+A shape gives PCPNet's six categories (clean points; the same points under three levels of noise; two clouds of uneven
+density, a gradient and stripes), or scans by virtual scanners. A scene gives points sampled from it, or scans.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from jetnormal.data.corruption import DENSE_FACTOR, NOISE_LEVELS, Surface, add_noise, thin
-from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
-from jetnormal.data.solids.recipes import random_solid
-from jetnormal.data.sources import meshes_in
+from jetnormal.cloud import Cloud
+from jetnormal.data.benchmark_shapes import (
+    DrawnCloud,
+    Shape,
+    mesh_shapes,
+    procedural_scene_shapes,
+    scene_mesh_shapes,
+    solid_shapes,
+)
 from jetnormal.errors import InputError, UsageError
+from jetnormal.formats import write
 from jetnormal.formats.atomic import atomic_folder
-from jetnormal.formats.meshes import MESH_SUFFIXES
-from jetnormal.formats.pcpnet import CATEGORIES, TEST_LIST, write_cloud
+from jetnormal.formats.pcpnet import CATEGORIES, SENSOR_ATTRIBUTES, TEST_LIST, category_list, file_of, write_cloud
 from jetnormal.support.report import progress
 
 Split = Literal["test", "training", "validation"]
@@ -57,18 +59,15 @@ class DatasetOptions:
                 raise UsageError(f"{name} must be at least {least}, not {getattr(self, name)}")
 
 
-@dataclass(frozen=True)
-class _Shape:
-    name: str
-    load: Callable[[np.random.Generator], Surface]
-
-
 def write_dataset(
     folder: Path,
     options: DatasetOptions,
     *,
     meshes: Path | None = None,
     solids: int = 0,
+    scene_meshes: Path | None = None,
+    scenes: int = 0,
+    scans: bool = False,
     overwrite: bool = False,
 ) -> list[str]:
     """Write clouds and lists of them. The same arguments give the same bytes.
@@ -80,30 +79,29 @@ def write_dataset(
         options: what is drawn.
         meshes: folder with meshes, each of which becomes a shape.
         solids: number of procedural solids, each of which becomes a shape.
+        scene_meshes: folder with meshes of scenes, or with a folder for each as SceneNN has them.
+        scenes: number of procedural scenes.
+        scans: whether the clouds are scans by virtual scanners. NAME.ply then holds the points once more, with the
+            place of the sensor of each.
         overwrite: whether a folder is replaced that this function wrote and that holds nothing else.
 
     Returns:
         Names of the clouds.
 
     Raises:
-        UsageError: there is neither a mesh nor a solid to draw from.
+        UsageError: there is nothing to draw from.
         InputError: the folder exists or cannot be written, or a mesh cannot be used.
+        ResourceError: Open3D, which casts the rays of the scanners, cannot be loaded.
     """
-    shapes = [*_mesh_shapes(meshes), *_solid_shapes(solids)]
+    shapes = mesh_shapes(meshes, scans) if meshes else []
+    shapes += solid_shapes(solids, scans)
+    shapes += scene_mesh_shapes(scene_meshes) if scene_meshes else []
+    shapes += procedural_scene_shapes(scenes, scans)
     if not shapes:
         raise UsageError("there is nothing to draw points from: give a folder of meshes or a number of solids")
     old = _replaceable(folder, overwrite) if folder.exists() else []
-    names: dict[str, list[str]] = {category: [] for category in CATEGORIES}
-    total = len(shapes) * len(CATEGORIES)
-    with atomic_folder(folder, old) as unfinished, progress("drawing", total, "clouds") as advance:
-        for index, shape in enumerate(shapes):
-            rng = np.random.default_rng([options.seed, index])
-            for category, points, normals in draw(shape.load(rng), options.points, rng):
-                name = shape.name + CATEGORIES[category].ending
-                queries = rng.choice(len(points), min(options.queries, len(points)), replace=False)
-                write_cloud(unfinished, name, points, normals, np.sort(queries))
-                names[category].append(name)
-                advance(1)
+    with atomic_folder(folder, old) as unfinished:
+        names = _write_clouds(unfinished, shapes, options)
         for list_file, members in _lists(names, options.split).items():
             (unfinished / list_file).write_bytes("".join(f"{name}\n" for name in members).encode())
         listing = sorted(path.name for path in unfinished.iterdir())
@@ -111,62 +109,40 @@ def write_dataset(
     return [name for members in names.values() for name in members]
 
 
-def draw(
-    surface: Surface, count: int, rng: np.random.Generator
-) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Draw clouds of `count` points from a surface: category, points (count, 3) and normals (count, 3) of each.
-
-    The normals of a noisy cloud are those of the clean points that it came from, as in PCPNet.
-    """
-    dense, dense_normals = surface.sample(DENSE_FACTOR * count, rng)
-    clean, normals = dense[:count], dense_normals[:count]
-    yield "none", clean, normals
-    for level, sigma in NOISE_LEVELS.items():
-        yield level, add_noise(clean, sigma, rng), normals
-    patterns: tuple[Literal["gradient", "striped"], ...] = ("gradient", "striped")
-    for pattern in patterns:
-        kept = thin(dense, pattern, count, rng)
-        yield pattern, dense[kept], dense_normals[kept]
+def _write_clouds(folder: Path, shapes: Sequence[Shape], options: DatasetOptions) -> dict[str, list[str]]:
+    """The names of the clouds written, by category; PCPNet's come first."""
+    names: dict[str, list[str]] = {category: [] for category in CATEGORIES}
+    with progress("drawing", sum(shape.clouds for shape in shapes), "clouds") as advance:
+        for index, shape in enumerate(shapes):
+            rng = np.random.default_rng([options.seed, index])
+            for cloud in shape.draw(options.points, rng):
+                _write(folder, cloud, options.queries, rng)
+                names.setdefault(cloud.category, []).append(cloud.name)
+                advance(1)
+    return {category: members for category, members in names.items() if members}
 
 
-def _mesh_shapes(folder: Path | None) -> list[_Shape]:
-    """A shape for each mesh, named after its file; blanks, which separate the names in lists, become underscores."""
-    if folder is None:
-        return []
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder")
-    paths = meshes_in(folder)
-    if not paths:
-        raise InputError(f"{folder}: holds no meshes ({' '.join(MESH_SUFFIXES)})")
-    named: dict[str, Path] = {}
-    for path in paths:
-        name = re.sub(r"\s+", "_", path.stem)
-        if name in named:
-            raise InputError(f"{path}: would become the shape {name}, as {named[name].name}; rename one of them")
-        named[name] = path
-    return [_Shape(name, partial(_load_mesh, path)) for name, path in named.items()]
-
-
-def _load_mesh(path: Path, _: np.random.Generator) -> Surface:
-    return MeshSampler(load_mesh(path))
-
-
-def _solid_shapes(count: int) -> list[_Shape]:
-    width = max(3, len(str(count)))
-    return [_Shape(f"solid_{number:0{width}d}", random_solid) for number in range(1, count + 1)]
+def _write(folder: Path, cloud: DrawnCloud, queries: int, rng: np.random.Generator) -> None:
+    candidates = np.arange(len(cloud.points)) if cloud.labeled is None else np.flatnonzero(cloud.labeled)
+    chosen = rng.choice(candidates, min(queries, len(candidates)), replace=False)
+    write_cloud(folder, cloud.name, cloud.points, cloud.normals, np.sort(chosen))
+    if cloud.sensors is not None:
+        places = dict(zip(SENSOR_ATTRIBUTES, cloud.sensors.T, strict=True))
+        write(Cloud(cloud.points, attributes=places), file_of(folder, cloud.name, "ply"))
 
 
 def _lists(names: dict[str, list[str]], split: Split) -> dict[str, list[str]]:
-    """The clouds that each list of a split names, by the list's name in PCPNet."""
+    """The clouds that each list of a split names, by the list's name."""
     everything = [name for members in names.values() for name in members]
     if split == "test":
-        return {category.list_file: names[key] for key, category in CATEGORIES.items()} | {TEST_LIST: everything}
-    noise = [name for category in ("none", *NOISE_LEVELS) for name in names[category]]
-    return {
-        f"{split}set_no_noise.txt": names["none"],
-        f"{split}set_whitenoise.txt": noise,
+        return {category_list(category): members for category, members in names.items()} | {TEST_LIST: everything}
+    uneven = ("gradient", "striped")
+    lists = {
+        f"{split}set_no_noise.txt": names.get("none", []),
+        f"{split}set_whitenoise.txt": [n for category in names if category not in uneven for n in names[category]],
         f"{split}set_vardensity_whitenoise.txt": everything,
     }
+    return {list_file: members for list_file, members in lists.items() if members}
 
 
 def _replaceable(folder: Path, overwrite: bool) -> list[str]:

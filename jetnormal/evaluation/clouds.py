@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.formats.pcpnet import clean_twin, file_of, read_cloud
+from jetnormal.formats.pcpnet import clean_twin, file_of, read_cloud, read_sensors
 from jetnormal.geometry.neighbors import NeighborIndex
 
 
@@ -22,6 +22,7 @@ class BenchmarkCloud:
         points: (N, 3).
         normals: (N, 3) true unit normals.
         queries: (Q,) indices of the points evaluated.
+        sensors: (N, 3) where each point was seen from, if that is needed.
     """
 
     name: str
@@ -29,6 +30,7 @@ class BenchmarkCloud:
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     queries: NDArray[np.int64]
+    sensors: NDArray[np.float64] | None = None
 
     @property
     def true_normals(self) -> NDArray[np.float64]:
@@ -36,8 +38,10 @@ class BenchmarkCloud:
         return self.normals[self.queries]
 
 
-def read_benchmark_cloud(folder: Path, name: str, all_points: bool = False) -> BenchmarkCloud:
+def read_benchmark_cloud(folder: Path, name: str, all_points: bool = False, *, sensors: bool = False) -> BenchmarkCloud:
     """Read a cloud; all its points are evaluated if asked for, or if it has no .pidx file.
+
+    `sensors` asks for the places of the sensors, which NAME.ply holds in a set of scans.
 
     Raises:
         InputError: a file is unreadable or does not match the others.
@@ -48,7 +52,10 @@ def read_benchmark_cloud(folder: Path, name: str, all_points: bool = False) -> B
         queries = np.arange(len(points))
     else:
         files.append(file_of(folder, name, "pidx"))
-    return BenchmarkCloud(name, files, points, normals, queries)
+    if not sensors:
+        return BenchmarkCloud(name, files, points, normals, queries)
+    files.append(file_of(folder, name, "ply"))
+    return BenchmarkCloud(name, files, points, normals, queries, read_sensors(folder, name, len(points)))
 
 
 def clean_normals(folder: Path, cloud: BenchmarkCloud) -> NDArray[np.float64] | None:

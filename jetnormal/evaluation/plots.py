@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.formats.pcpnet import split_name
+from jetnormal.formats.pcpnet import shape_of
 from jetnormal.support.report import progress
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:
     except OSError as error:
         raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another one") from error
     shapes: dict[str, list[str]] = {}
-    for name in evaluation.clouds:
-        shapes.setdefault(split_name(name)[0], []).append(name)
+    for name, category in evaluation.clouds.items():
+        shapes.setdefault(shape_of(name, category), []).append(name)
     with rc_context({"text.parse_math": False}):  # a dollar sign in a name is one
         paths = [_save(draw_good_points(evaluation), folder / "good_points.png")]
         if figure := draw_z_angles(evaluation):

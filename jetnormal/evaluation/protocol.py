@@ -148,7 +148,8 @@ def evaluate(
             one, else all clouds with normals.
         all_points: whether all points count, whatever .pidx says.
         orient: "none", or how signs are chosen (`orientation.methods`), which are then scored, too. Signs spread from
-            point to point, so that the normals of all points are estimated.
+            point to point, so that the normals of all points are estimated. "viewpoint" turns them to the sensors,
+            whose places are attributes of NAME.ply.
         results: folder that keeps the normals of models given by name, and gives them back when nothing that they
             depend on has changed; the seconds are those of the first time.
         z_angles: whether to measure the angles between true normals and z axis before and after the learned
@@ -167,9 +168,8 @@ def evaluate(
     folder = Path(data)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    methods = [method for method in get_args(Method) if method != "viewpoint"]  # which a benchmark has none of
-    if orient not in methods:
-        raise UsageError(f"there is no orientation {orient!r} here; choose from {', '.join(methods)}")
+    if orient not in get_args(Method):
+        raise UsageError(f"there is no orientation {orient!r} here; choose from {', '.join(get_args(Method))}")
     if list_file is None and (folder / TEST_LIST).is_file():
         list_file = TEST_LIST
     clouds = categorize(folder, cloud_names(folder, list_file))
@@ -181,7 +181,7 @@ def evaluate(
     total = sum(query_count(folder, cloud, all_points or orient != "none") for cloud in clouds)
     with progress("evaluating", len(trials) * total) as advance:
         for name in clouds:
-            cloud = read_benchmark_cloud(folder, name, all_points)
+            cloud = read_benchmark_cloud(folder, name, all_points, sensors=orient == "viewpoint")
             clean = clean_normals(folder, cloud)
             for trial in trials:
                 found[trial.name][name] = trial.run(cloud, clean, orient, advance, z_angles)
@@ -258,5 +258,5 @@ class _Trial:
         normals = self.estimator(cloud.points, rows, advance).normals
         seconds = time.perf_counter() - start
         if orient != "none":
-            normals = choose_signs(cloud.points, normals, orient)[cloud.queries]  # type: ignore[arg-type]
+            normals = choose_signs(cloud.points, normals, orient, viewpoint=cloud.sensors)[cloud.queries]  # type: ignore[arg-type]
         return Estimate(normals, len(rows), seconds)

@@ -14,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import InputError
+from jetnormal.formats import read
 
 TEST_LIST = "testset_all.txt"
+LIST_PREFIX = "testset_"
+SENSOR_ATTRIBUTES = ("sensor_x", "sensor_y", "sensor_z")  # of NAME.ply, which scans have beside the other files
 
 
 @dataclass(frozen=True)
@@ -54,12 +57,28 @@ def split_name(name: str) -> tuple[str, str]:
     return shape, known.get(infix + level, f"noise {level}")
 
 
+def shape_of(name: str, category: str) -> str:
+    """The shape that a cloud of a category was made from, as far as its name tells."""
+    return split_name(name)[0].removesuffix(f"_{category}")
+
+
+def category_list(category: str) -> str:
+    """Name of the list of the clouds of a category of PCPNet's test set, or of any other."""
+    return CATEGORIES[category].list_file if category in CATEGORIES else f"{LIST_PREFIX}{category}.txt"
+
+
 def categorize(directory: Path, names: Iterable[str]) -> dict[str, str]:
-    """The category of each cloud: by the category list in the folder that names it, else by its own name."""
+    """The category of each cloud: by the list in the folder that names it, else by its own name.
+
+    A list testset_CATEGORY.txt makes a category. A cloud that several lists name belongs to the one of PCPNet, else to
+    the shortest one.
+    """
+    known = {category.list_file: key for key, category in CATEGORIES.items()}
+    lists = {path.name: read_list(path) for path in directory.glob(f"{LIST_PREFIX}*.txt") if path.name != TEST_LIST}
     listed: dict[str, str] = {}
-    for key, category in CATEGORIES.items():
-        if (directory / category.list_file).is_file():
-            listed |= dict.fromkeys(read_list(directory / category.list_file), key)
+    for list_file in sorted(lists, key=lambda list_file: (list_file in known, -len(lists[list_file]), list_file)):
+        category = known.get(list_file, list_file.removeprefix(LIST_PREFIX).removesuffix(".txt"))
+        listed |= dict.fromkeys(lists[list_file], category)  # the later list has the last word
     return {name: listed.get(name) or split_name(name)[1] for name in names}
 
 
@@ -130,6 +149,24 @@ def write_cloud(
     np.savetxt(file_of(directory, name, "xyz"), points, fmt="%.9g")
     np.savetxt(file_of(directory, name, "normals"), normals, fmt="%.9g")
     np.savetxt(file_of(directory, name, "pidx"), queries, fmt="%d")
+
+
+def read_sensors(directory: Path, name: str, count: int) -> NDArray[np.float64]:
+    """Read where each of `count` points of a scan was seen from, (count, 3), from the attributes of NAME.ply.
+
+    Raises:
+        InputError: The file is missing, unreadable, lacks the attributes or does not match the others.
+    """
+    path = file_of(directory, name, "ply")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; the places of the sensors come from it")
+    attributes = read(path).attributes
+    if not all(attribute in attributes for attribute in SENSOR_ATTRIBUTES):
+        raise InputError(f"{path}: lacks an attribute {', '.join(SENSOR_ATTRIBUTES)}")
+    sensors = np.stack([attributes[attribute] for attribute in SENSOR_ATTRIBUTES], axis=1).astype(np.float64)
+    if len(sensors) != count:
+        raise InputError(f"{path}: {len(sensors)} sensors for {count} points")
+    return sensors
 
 
 def query_count(directory: Path, name: str, all_points: bool = False) -> int:

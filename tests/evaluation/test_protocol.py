@@ -147,5 +147,5 @@ def test_unusable_models_and_settings_are_refused(folder):
         evaluate(folder, ["pca", "jet", "pca"])
     with pytest.raises(ModelError, match="absent"):
         evaluate(folder, ["absent"])
-    with pytest.raises(UsageError, match="no orientation 'viewpoint'"):
-        evaluate(folder, ["pca"], orient="viewpoint")
+    with pytest.raises(UsageError, match="no orientation 'sideways'"):
+        evaluate(folder, ["pca"], orient="sideways")

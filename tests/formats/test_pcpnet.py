@@ -9,6 +9,7 @@ from jetnormal.formats.pcpnet import (
     clean_twin,
     query_count,
     read_cloud,
+    shape_of,
     split_name,
     write_cloud,
 )
@@ -51,3 +52,22 @@ def test_a_noisy_cloud_has_the_clean_one_as_its_twin(tmp_path):
     assert clean_twin(tmp_path, noisy) == "ball"
     assert clean_twin(tmp_path, "ball") is None
     assert clean_twin(tmp_path, "ball_ddist_minmax") is None
+
+
+def test_any_list_of_a_test_set_makes_a_category(tmp_path):
+    for name, members in {"lidar": "a b", "outdoors": "a b c", "no_noise": "d", "all": "a b c d e"}.items():
+        (tmp_path / f"testset_{name}.txt").write_text(members.replace(" ", "\n"))
+    categories = categorize(tmp_path, ["a", "b", "c", "d", "e", "f_ddist_minmax"])
+    assert categories == {
+        "a": "lidar",
+        "b": "lidar",
+        "c": "outdoors",
+        "d": "none",
+        "e": "none",
+        "f_ddist_minmax": "gradient",
+    }
+
+
+def test_shapes_of_categories():
+    assert shape_of("cat_lidar", "lidar") == "cat"
+    assert shape_of("cat_noise_white_6.00e-03", "medium") == "cat"

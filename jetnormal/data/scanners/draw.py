@@ -24,7 +24,7 @@ import numpy as np
 from jetnormal.data.scanners.handling import handled
 from jetnormal.data.scanners.objects import OBJECT_SCANNERS
 from jetnormal.data.scanners.scan import Scan
-from jetnormal.data.scanners.scenes import SceneTarget, scan_scene
+from jetnormal.data.scanners.scenes import SCENE_SCANNERS, SceneTarget, scene_shares
 from jetnormal.data.scanners.targets import Target
 
 FAMILIES = {"stripe": 0.2, "depth": 0.2, "lidar": 0.2, "station": 0.12, "fused": 0.16, "photogrammetry": 0.12}
@@ -33,31 +33,42 @@ LEAST_POINTS = 500  # a view that sees less of the target is drawn again
 TRIES = 20
 
 
-def random_scan(target: Target, largest: int, rng: np.random.Generator, kind: str | None = None) -> Scan:
+def random_scan(target: Target, largest: int, rng: np.random.Generator) -> Scan:
     """Scan a surface by a scanner that is drawn at random.
 
     Args:
         target: the surface.
-        largest: largest number of points; at least about an eighth as many are aimed at, several densities.
+        largest: largest number of points; an eighth as many or more are aimed at, since clouds differ in density.
         rng: source of randomness.
-        kind: a key of `FAMILIES`, or of `SCENE_SCANNERS` for a scene; None draws one by its share there.
+
+    Raises:
+        ValueError: nothing of the surface can be seen.
+    """
+    shares = scene_shares(target.kind) if isinstance(target, SceneTarget) else FAMILIES
+    kind = str(rng.choice(list(shares), p=list(shares.values())))
+    return scan(target, kind, max(1, round(largest * SMALLEST ** rng.random())), rng)
+
+
+def scan(target: Target, kind: str, count: int, rng: np.random.Generator) -> Scan:
+    """Scan a surface by a scanner of a kind, with parameters drawn at random.
+
+    Args:
+        target: the surface.
+        kind: a key of `FAMILIES`, or of the scene's `SCENE_SCANNERS`.
+        count: number of points that is aimed at, and the largest one.
+        rng: source of randomness.
 
     Raises:
         ValueError: nothing of the surface can be seen.
     """
     for _ in range(TRIES):
-        count = max(1, round(largest * SMALLEST ** rng.random()))
         if isinstance(target, SceneTarget):
-            scan = scan_scene(target, count, rng, kind)
+            seen = SCENE_SCANNERS[target.kind][kind][0](target, count, rng)
         else:
-            chosen = kind or str(rng.choice(list(FAMILIES), p=list(FAMILIES.values())))
-            scan = OBJECT_SCANNERS[chosen](target, count, rng)
-        if len(scan) >= min(LEAST_POINTS, count / 4):
-            scan = handled(scan, rng)
-            scan = scan if len(scan) <= largest else scan.take(np.sort(rng.choice(len(scan), largest, replace=False)))
-            return replace(
-                scan,
-                points=target.center + target.size * scan.points,
-                sensors=target.center + target.size * scan.sensors,
-            )
-    raise ValueError("the scanners saw next to nothing of the surface")
+            seen = OBJECT_SCANNERS[kind](target, count, rng)
+        if len(seen) >= min(LEAST_POINTS, count / 4):
+            seen = handled(seen, rng)
+            seen = seen if len(seen) <= count else seen.take(np.sort(rng.choice(len(seen), count, replace=False)))
+            points, sensors = (target.center + target.size * places for places in (seen.points, seen.sensors))
+            return replace(seen, points=points, sensors=sensors)
+    raise ValueError("the scanner saw next to nothing of the surface")

@@ -185,11 +185,9 @@ SCENE_SCANNERS: dict[str, dict[str, tuple[_Scanner, float]]] = {
 }
 
 
-def scan_scene(target: SceneTarget, count: int, rng: np.random.Generator, kind: str | None = None) -> Scan:
-    """Scan a scene by one of the scanners of its kind: by the named one, or any by its share."""
-    scanners = SCENE_SCANNERS[target.kind]
-    chosen = kind or str(rng.choice(list(scanners), p=[share for _, share in scanners.values()]))
-    return scanners[chosen][0](target, count, rng)
+def scene_shares(kind: str) -> dict[str, float]:
+    """How often each scanner scans a scene of a kind."""
+    return {name: share for name, (_, share) in SCENE_SCANNERS[kind].items()}
 
 
 def _scaled(errors: RangeErrors, target: SceneTarget) -> RangeErrors:

@@ -5,7 +5,7 @@ import pytest
 
 from jetnormal.data.mesh_sampler import MeshSampler
 from jetnormal.data.scanners import rasters
-from jetnormal.data.scanners.draw import FAMILIES, random_scan
+from jetnormal.data.scanners.draw import FAMILIES, random_scan, scan
 from jetnormal.data.scanners.range_errors import RangeErrors, smooth_noise
 from jetnormal.data.scanners.targets import MeshTarget
 from jetnormal.mesh import Mesh
@@ -47,15 +47,15 @@ def test_what_is_behind_the_cube_is_hidden(cube):
 @pytest.mark.parametrize("kind", FAMILIES)
 def test_scans_lie_near_the_surface_and_face_the_sensor(cube, kind):
     for seed in range(3):
-        scan = random_scan(cube, 4000, np.random.default_rng(seed), kind)
-        assert scan.kind == kind and 100 < len(scan) <= 4000
-        labeled = scan.labeled
-        outside = np.maximum(np.abs(scan.points - 0.5) - 0.5, 0)
-        inside = np.min(0.5 - np.abs(scan.points - 0.5), axis=1).clip(0)
+        seen = scan(cube, kind, 4000, np.random.default_rng(seed))
+        assert seen.kind == kind and 100 < len(seen) <= 4000
+        labeled = seen.labeled
+        outside = np.maximum(np.abs(seen.points - 0.5) - 0.5, 0)
+        inside = np.min(0.5 - np.abs(seen.points - 0.5), axis=1).clip(0)
         distance = np.hypot(np.linalg.norm(outside, axis=1), inside)
         assert np.sqrt(np.mean(distance[labeled] ** 2)) < 0.06  # of a cube with edges of one
-        np.testing.assert_allclose(np.linalg.norm(scan.normals, axis=1), 1, atol=1e-12)
-        assert ((scan.normals * (scan.sensors - scan.points)).sum(1) > 0)[labeled].mean() > 0.99
+        np.testing.assert_allclose(np.linalg.norm(seen.normals, axis=1), 1, atol=1e-12)
+        assert ((seen.normals * (seen.sensors - seen.points)).sum(1) > 0)[labeled].mean() > 0.99
         assert labeled.mean() > 0.6
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jetnormal.data.scanners.draw import random_scan
+from jetnormal.data.scanners.draw import scan
 from jetnormal.data.scanners.scenes import SCENE_SCANNERS, SceneTarget
 from jetnormal.data.scenes.draw import SCENES, random_scene
 from jetnormal.data.scenes.layout import Scene
@@ -31,13 +31,13 @@ def test_scenes_have_sound_normals(kind):
 @pytest.mark.parametrize(("scene", "kind"), CASES)
 def test_scans_of_scenes(targets, scene, kind):
     target = targets[scene]
-    scan = random_scan(target, 5000, np.random.default_rng(0), kind)
-    assert scan.kind == kind or (kind, scan.kind) == ("depth", "fused")
-    np.testing.assert_allclose(np.linalg.norm(scan.normals, axis=1), 1, atol=1e-12)
-    facing = ((scan.sensors - scan.points) * scan.normals).sum(1) > 0
-    assert facing[scan.labeled].mean() > 0.98
+    seen = scan(target, kind, 5000, np.random.default_rng(0))
+    assert seen.kind == kind or (kind, seen.kind) == ("depth", "fused")
+    np.testing.assert_allclose(np.linalg.norm(seen.normals, axis=1), 1, atol=1e-12)
+    facing = ((seen.sensors - seen.points) * seen.normals).sum(1) > 0
+    assert facing[seen.labeled].mean() > 0.98
     span = np.ptp(target.sample(1000, np.random.default_rng(0))[0], axis=0).max() * target.size
-    assert np.ptp(scan.points[scan.labeled], axis=0).max() < 2 * span
+    assert np.ptp(seen.points[seen.labeled], axis=0).max() < 2 * span
 
 
 def test_a_station_in_a_box_sees_six_planes_and_no_normals_of_leaves():
@@ -45,12 +45,12 @@ def test_a_station_in_a_box_sees_six_planes_and_no_normals_of_leaves():
     shrub = leaves(40, 0.2, [0.3, 0.3, 0.3], np.random.default_rng(0)).placed([1.2, 1.2, 1.0])
     middle = np.array([[-0.3, 0.2, 1.4]])
     target = SceneTarget(Scene("room", joined([walls, shrub]), middle, np.repeat(middle, 2, axis=0)))
-    scan = random_scan(target, 4000, np.random.default_rng(4), "station")
-    known = scan.labeled & (np.abs(scan.points).max(1) < 10)
-    inside = np.minimum(np.minimum(2 - np.abs(scan.points[:, 0]), 3 - np.abs(scan.points[:, 1])),
-                        1.5 - np.abs(scan.points[:, 2] - 1.5))  # fmt: skip
+    seen = scan(target, "station", 4000, np.random.default_rng(4))
+    known = seen.labeled & (np.abs(seen.points).max(1) < 10)
+    inside = np.minimum(np.minimum(2 - np.abs(seen.points[:, 0]), 3 - np.abs(seen.points[:, 1])),
+                        1.5 - np.abs(seen.points[:, 2] - 1.5))  # fmt: skip
     assert np.sqrt(np.mean(inside[known] ** 2)) < 0.1
-    np.testing.assert_allclose(np.abs(scan.normals[known]).max(1), 1, atol=1e-9)
-    assert len(np.unique(scan.normals[known].round(3), axis=0)) >= 5
-    near_shrub = np.linalg.norm(scan.points - [1.2, 1.2, 1.0], axis=1) < 0.45
-    assert near_shrub.any() and not scan.labeled[near_shrub].any()
+    np.testing.assert_allclose(np.abs(seen.normals[known]).max(1), 1, atol=1e-9)
+    assert len(np.unique(seen.normals[known].round(3), axis=0)) >= 5
+    near_shrub = np.linalg.norm(seen.points - [1.2, 1.2, 1.0], axis=1) < 0.45
+    assert near_shrub.any() and not seen.labeled[near_shrub].any()
