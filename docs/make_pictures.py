@@ -43,10 +43,10 @@ def tutorial() -> None:
 
 
 def cloudfit() -> None:
-    """Draw the pyramid of CloudFit: features go up and down, directions are voted for on the way down."""
-    levels = [("cloud", "64"), ("1/4", "128"), ("1/16", "192"), ("1/64", "192"), ("1/256", "192")]
-    figure, axes = pyplot.subplots(figsize=(9.6, 4.6), dpi=110)
-    axes.set(xlim=(-0.1, 12.8), ylim=(-0.3, 5.4))
+    """Draw the pyramid of CloudFit: features are gathered on the way up, normals are voted for on the way down."""
+    levels = [("even level", 64), ("1/4", 128), ("1/16", 192), ("1/64", 192), ("1/256", 192), ("1/1024", 192)]
+    figure, axes = pyplot.subplots(figsize=(9.6, 4.9), dpi=110)
+    axes.set(xlim=(-2.5, 12.6), ylim=(-0.4, 6.2))
     axes.axis("off")
     gray, blue, green, red = "#d8dde3", "#c7dcf2", "#cdeacb", "#f6d3c6"
 
@@ -59,24 +59,25 @@ def cloudfit() -> None:
         options = {"arrowstyle": "-|>", "mutation_scale": 11, "color": "#444", "linestyle": style}
         axes.add_patch(FancyArrowPatch(start, end, **options))
 
+    box(-2.3, 0, 1.5, "cloud", red)
+    arrow((-0.72, 0.31), (-0.08, 0.31))
     last = len(levels) - 1
     for number, (share, channels) in enumerate(levels):
         y, shift = number * 1.05, number * 0.45
         box(shift, y, 1.5, f"{share}\n{channels} channels", gray)
-        box(6.2 - shift, y, 1.9, "z-direction:\nneighbors vote", blue)
-        arrow((shift + 1.6, y + 0.31), (6.1 - shift, y + 0.31), "--" if number < last else "-")
+        box(6.5 - shift, y, 1.9, "normals:\nneighbors vote", blue)
+        arrow((shift + 1.6, y + 0.31), (6.4 - shift, y + 0.31), "--" if number < last else "-")
         if number < last:
             arrow((shift + 0.9, y + 0.70), (shift + 1.2, y + 1.0))
-            arrow((6.75 - shift, y + 1.0), (7.05 - shift, y + 0.72))
-    box(8.75, 0, 1.55, "weighted jet\nover z", green)
-    box(10.85, 0, 1.85, "correction: normal\nand confidence", red)
-    arrow((8.2, 0.31), (8.68, 0.31))
-    arrow((10.38, 0.31), (10.78, 0.31))
-    arrow((7.3, 1.05), (9.0, 0.70), "--")
-    arrow((6.85, 2.1), (9.4, 0.70), "--")
-    axes.text(9.2, 1.55, "points of the three\nfinest levels", fontsize=8, color="#444")
-    axes.text(0.0, -0.28, "up: thin, average, gather features", fontsize=8, color="#444")
-    axes.text(5.0, -0.28, "down: coarse directions guide finer ones", fontsize=8, color="#444")
+            arrow((7.05 - shift, y + 1.0), (7.35 - shift, y + 0.72))
+    box(9.1, 0, 1.3, "all points:\na last vote", blue)
+    box(11.0, 0, 1.5, "normals,\nconfidence", red)
+    box(11.0, 1.05, 1.5, "curvatures:\nWeingarten", green)
+    arrow((8.5, 0.31), (9.02, 0.31))
+    arrow((10.48, 0.31), (10.92, 0.31))
+    arrow((11.75, 0.70), (11.75, 1.0))
+    axes.text(-0.1, -0.32, "up: thin, average, gather features", fontsize=8, color="#444")
+    axes.text(5.0, -0.32, "down: coarse normals guide finer ones", fontsize=8, color="#444")
     figure.savefig(PICTURES / "cloudfit.png", bbox_inches="tight")
     pyplot.close(figure)
 
