@@ -4,8 +4,8 @@
     python benchmarks/ablation.py benchmarks/ablation.toml -o ablation
     python benchmarks/ablation.py benchmarks/paper/additions.toml -o paper      # with PCPNet in pcpnet/ and a GPU
 
-A plan is a TOML file. Each row of a table is a recipe of `jetnormal train` with some settings changed; equal recipes are
-trained once, also those of several plans with the same folder. An interrupted run goes on when it is started again.
+A plan is a TOML file. Each row of a table is a recipe of `jetnormal train` with some settings changed; equal recipes
+are trained once, also those of several plans with the same folder. An interrupted run goes on when it is started again.
 The folder gets NETWORK/ with the run of each network, and PLAN.md with the tables as far as they are known.
 
     [test]                   # clouds in PCPNet's layout
