@@ -19,8 +19,7 @@ if open3d is None:
 cloud = open3d.io.read_point_cloud(sys.argv[1])
 cloud = cloud.voxel_down_sample(0.004)  # any of Open3D's filters
 
-normals = jetnormal.estimate(np.asarray(cloud.points), viewpoint=(0, 0, 0))
-cloud.normals = open3d.utility.Vector3dVector(normals)
+cloud = jetnormal.estimate(cloud, viewpoint=(0, 0, 0))  # an Open3D cloud in, an Open3D cloud out
 
 towards = np.einsum("nd,nd->n", np.asarray(cloud.normals), -np.asarray(cloud.points)) > 0
 print(f"{len(cloud.points)} points, {towards.mean():.0%} of the normals look towards the camera")

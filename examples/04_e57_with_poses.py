@@ -26,5 +26,4 @@ for scan in np.unique(scans):
 cloud = jetnormal.estimate(cloud)  # takes the positions of the scanner, as they are known
 towards = np.einsum("nd,nd->n", cloud.normals, sensors - cloud.points) > 0
 print(f"{towards.mean():.0%} of the normals look towards their scanner")
-for warning in jetnormal.write(cloud, sys.argv[2]):
-    print(warning)
+jetnormal.write(cloud, sys.argv[2])

@@ -66,9 +66,9 @@ def test_a_network_goes_on_learning_from_meshes(tmp_path):
 def test_an_e57_project_looks_towards_its_scanners(tmp_path):
     pye57 = pytest.importorskip("pye57")
     file = pye57.E57(str(tmp_path / "project.e57"), mode="w")
-    for position in ((3.0, 0.0, 0.0), (0.0, -3.0, 1.0)):
-        points = sphere(400)
-        points = points[points @ np.array(position) > 0]  # what is seen from there
+    for seed, position in enumerate(((3.0, 0.0, 0.0), (0.0, -3.0, 1.0))):
+        points = sphere(1500, seed)
+        points = points[points @ np.array(position) > 1]  # what is seen from there
         columns = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), (points - position).T, strict=True))
         file.write_scan_raw(columns, translation=np.array(position))
     file.close()
