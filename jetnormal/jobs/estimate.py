@@ -22,6 +22,7 @@ from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 if TYPE_CHECKING:
     from jetnormal.orientation.methods import Orientation
 
+FEW_NEIGHBORS = 10  # of a jet for a cloud too small for a network: a sphere of 45 points has 2.7 degrees, with 45 39
 MAX_COORDINATE = 1e150  # squares of differences must be finite
 
 
@@ -224,8 +225,8 @@ def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tupl
     from jetnormal.estimators.factory import make_estimator
 
     if count < estimator.min_points:
-        jet = make_estimator("jet", k=max(3, count), **_resources(options))
-        return jet, [f"{count} points are too few for {estimator.name}: a jet was fitted to all of them instead"]
+        jet = make_estimator("jet", k=min(max(3, count), FEW_NEIGHBORS), **_resources(options))
+        return jet, [f"{count} points are too few for {estimator.name}: jets of {jet.neighbors} neighbors were fitted instead"]
     if count >= estimator.neighbors:
         return estimator, []
     return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]

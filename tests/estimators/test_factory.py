@@ -96,4 +96,4 @@ def test_the_path_of_a_model_file_does_not_change_what_it_can(model, monkeypatch
     assert "curvature" in jetnormal.estimate(cloud, model="pca_run/model.safetensors", curvature=True).attributes
     assert make_estimator("jet_run/model.safetensors").min_points == make_estimator("cloudfit").min_points == 64
     few = jetnormal.estimate(POINTS[:20], model="jet_run/model.safetensors")
-    assert np.array_equal(few, jetnormal.estimate(POINTS[:20], model="jet", k=20))
+    assert np.array_equal(few, jetnormal.estimate(POINTS[:20], model="jet", k=10))
