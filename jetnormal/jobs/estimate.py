@@ -226,7 +226,8 @@ def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tupl
 
     if count < estimator.min_points:
         jet = make_estimator("jet", k=min(max(3, count), FEW_NEIGHBORS), **_resources(options))
-        return jet, [f"{count} points are too few for {estimator.name}: jets of {jet.neighbors} neighbors were fitted instead"]
+        fitted = f"jets of {jet.neighbors} neighbors were fitted instead"
+        return jet, [f"{count} points are too few for {estimator.name}: {fitted}"]
     if count >= estimator.neighbors:
         return estimator, []
     return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
