@@ -11,20 +11,31 @@ from jetnormal.cli.derive import with_options
 from jetnormal.cli.failures import spell
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.jobs.options import EstimateOptions, ReconstructOptions
+from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions, ReconstructOptions
 from jetnormal.support.report import logger, print_json
+from jetnormal.support.streams import STREAM
 
 
 @with_options
 def estimate(
-    input: Annotated[Path, typer.Argument(metavar="INPUT", help="Point cloud: .ply, .pcd or .xyz.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="OUTPUT", help="File to write: .ply, .pcd or .xyz.")
+    input: Annotated[
+        list[Path],
+        typer.Argument(metavar="INPUT...", help="Point clouds: .ply .pcd .las .laz .e57 .ptx .xyz .npy ..., or -."),
     ],
     options: EstimateOptions,
-    encoding: Annotated[
-        str | None,
-        typer.Option(metavar="E", help="Encoding of the file, such as ascii.", show_default="the input's"),
+    files: FileOptions,
+    batch: BatchOptions,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="OUTPUT", help="File to write, in any of these formats, or -."),
+    ] = None,
+    out_dir: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder for the results of many files, under their names; --format is that of the results.",
+            rich_help_panel="Many files",
+        ),
     ] = None,
     mesh: Annotated[
         Path | None,
@@ -40,21 +51,30 @@ def estimate(
     OUTPUT holds what INPUT holds (coordinates, colors, other attributes, the order of the points),
     and the normals.
 
+    With --out-dir, a file that fails does not stop the others; the exit code is that of the first failure.
+
     \b
     Examples:
       jetnormal estimate scan.ply -o scan_normals.ply
-      jetnormal estimate scan.pcd -o scan.ply --model jet --k 32 --order 2
+      jetnormal estimate scan.e57 -o scan.laz --model jet --k 32 --order 2
       jetnormal estimate room.ply -o room_normals.ply --viewpoint 0,0,1.6
-      jetnormal estimate terrain.xyz -o terrain_normals.xyz --orient up
-      jetnormal estimate part.ply -o part_normals.ply --curvature --json
+      jetnormal estimate terrain.laz -o terrain_normals.laz --orient up
+      jetnormal estimate part.csv -o part.ply --columns id,x,y,z --curvature --json
       jetnormal estimate statue.ply -o statue_normals.ply --mesh statue.glb
+      jetnormal estimate scans/*.laz --out-dir normals --skip-existing
+      cat scan.xyz | jetnormal estimate - -o - --format xyz | ...
     """
     set_verbosity(quiet, verbose)
+    _check_outputs(input, output, out_dir, mesh, batch, json)
+    if out_dir is not None:
+        _estimate_many(input, out_dir, options, files, batch, force, json)
+        return
+    assert output is not None
     if mesh is not None:
         check_mesh(mesh, output, options.orient, force)
     from jetnormal.jobs.estimate import estimate_file
 
-    summary = estimate_file(input, output, options, encoding=encoding, overwrite=force)
+    summary = estimate_file(input[0], output, options, files=files, overwrite=force)
     report(summary)
     if mesh is not None:
         from jetnormal.jobs.reconstruct import reconstruct_file
@@ -64,6 +84,57 @@ def estimate(
         report_mesh(summary["mesh"])
     if json:
         print_json(summary)
+
+
+def _check_outputs(
+    inputs: list[Path], output: Path | None, folder: Path | None, mesh: Path | None, batch: BatchOptions, json: bool
+) -> None:
+    """Find out whether the options say one place for every result.
+
+    Raises:
+        UsageError: they do not.
+    """
+    if (output is None) == (folder is None):
+        raise UsageError("give `output` for one file, or `out_dir` for many")
+    if folder is not None and mesh is not None:
+        raise UsageError("`mesh` goes with `output`: reconstruct the files in `out_dir` one by one")
+    if folder is None and len(inputs) > 1:
+        raise UsageError(f"{len(inputs)} inputs need `out_dir`, a folder for the results")
+    if folder is None and batch != BatchOptions():
+        raise UsageError("`suffix`, `jobs` and `skip_existing` go with `out_dir`")
+    if STREAM in map(str, inputs) and folder is not None:
+        raise UsageError("a stream has no name for a file in `out_dir`: give `output`")
+    if str(output) == STREAM and json:
+        raise UsageError("the cloud and `json` cannot both go to standard output")
+    if str(output) == STREAM and mesh is not None:
+        raise UsageError("a mesh is made of a file: give `output` a name")
+
+
+def _estimate_many(
+    inputs: list[Path],
+    folder: Path,
+    options: EstimateOptions,
+    files: FileOptions,
+    batch: BatchOptions,
+    force: bool,
+    json: bool,
+) -> None:
+    from jetnormal.jobs.batch import estimate_files
+
+    summary = estimate_files(inputs, folder, options, files, batch, overwrite=force)
+    for done in summary["files"]:
+        report(done)
+    for failure in summary["failed"]:
+        failure["error"] = spell(failure["error"])
+        logger.error(
+            "%s", failure["error"] if failure["input"] in failure["error"] else "{input}: {error}".format(**failure)
+        )
+    counts = (len(summary["files"]), len(summary["skipped"]), len(summary["failed"]))
+    logger.info("%s: %d files done, %d skipped, %d failed", folder, *counts)
+    if json:
+        print_json(summary)
+    if summary["failed"]:
+        raise typer.Exit(summary["failed"][0]["code"])
 
 
 def check_mesh(mesh: Path, output: Path, orient: str, force: bool) -> None:

@@ -9,16 +9,20 @@ import typer
 
 from jetnormal.cli.derive import with_options
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
-from jetnormal.jobs.options import PreviewOptions
+from jetnormal.jobs.options import PreviewOptions, ReadOptions
 from jetnormal.support.report import logger, print_json
 
 
 @with_options
 def preview(
     input: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Cloud (.ply .pcd .xyz) or mesh (.ply .obj .stl .off .glb .npz).")
+        Path,
+        typer.Argument(
+            metavar="FILE", help="Cloud (.ply .pcd .las .laz .e57 .xyz ...) or mesh (.ply .obj .stl .off .glb .npz)."
+        ),
     ],
     options: PreviewOptions,
+    files: ReadOptions,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="PICTURE", help="Picture to write: .png.")
     ] = None,
@@ -46,7 +50,7 @@ def preview(
     set_verbosity(quiet, verbose)
     from jetnormal.jobs.preview import preview_file
 
-    summary = preview_file(input, output, html, options, overwrite=force)
+    summary = preview_file(input, output, html, options, files, overwrite=force)
     for target in (summary["picture"], summary["page"]):
         if target is not None:
             logger.info("wrote %s", target)

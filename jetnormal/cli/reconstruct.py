@@ -10,17 +10,20 @@ import typer
 from jetnormal.cli.derive import with_options
 from jetnormal.cli.estimate import report_mesh
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
-from jetnormal.jobs.options import ReconstructOptions
+from jetnormal.jobs.options import ReadOptions, ReconstructOptions
 from jetnormal.support.report import print_json
 
 
 @with_options
 def reconstruct(
-    input: Annotated[Path, typer.Argument(metavar="INPUT", help="Point cloud: .ply, .pcd or .xyz.")],
+    input: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="Point cloud: .ply .pcd .las .laz .e57 .xyz ..., or -.")
+    ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="MESH", help="File to write: .ply, .obj, .stl, .off or .glb.")
     ],
     options: ReconstructOptions,
+    files: ReadOptions,
     force: Annotated[bool, typer.Option("--force", help="Overwrite MESH where it exists.")] = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -46,7 +49,7 @@ def reconstruct(
     set_verbosity(quiet, verbose)
     from jetnormal.jobs.reconstruct import reconstruct_file
 
-    summary = reconstruct_file(input, output, options, overwrite=force)
+    summary = reconstruct_file(input, output, options, files, overwrite=force)
     report_mesh(summary)
     if json:
         print_json(summary)

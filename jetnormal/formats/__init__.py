@@ -15,13 +15,16 @@ from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError, ResourceError, UsageError
 from jetnormal.formats import atomic
 from jetnormal.formats.registry import Format, all_formats, find_format, suffixes
+from jetnormal.support.streams import STREAM
 
-__all__ = ["Format", "all_formats", "check_target", "find_format", "read", "suffixes", "write"]
-
-STREAM = "-"
-"""Standard input or standard output in the place of a file."""
+__all__ = ["Format", "all_formats", "check_target", "find_format", "format_for", "read", "suffixes", "write"]
 
 _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+def format_for(path: Path, name: str | None) -> str | None:
+    """Tell which format a file has by its name: none, if its suffix tells it, else `name`."""
+    return None if any(path.suffix.lower() in known.suffixes for known in all_formats()) else name
 
 
 def read(
@@ -48,7 +51,7 @@ def read(
     known = find_format(path, format)
     options: dict[str, Any] = {"columns": columns, "decimal": decimal} if known.has_columns else {}
     if not known.has_columns and (columns is not None or decimal is not None):
-        raise UsageError(f"{path}: --columns and --decimal are for text files, not for {known.name}")
+        raise UsageError(f"{path}: `columns` and `decimal` are for text files, not for {known.name}")
     try:
         with _as_file(path) as file:
             return known.read(file, **options)

@@ -41,7 +41,7 @@ def read(path: Path, *, columns: str | None = None, decimal: str | None = None) 
         UsageError: `columns` do not fit the file.
     """
     if decimal is not None:
-        raise UsageError(f"{path}: --decimal is for text files")
+        raise UsageError(f"{path}: `decimal` is for text files")
     layout = Layout.parse(columns)
     arrays = load_all(path)
     lower = {name.lower(): name for name in reversed(list(arrays))}

@@ -186,9 +186,8 @@ def _without(prefixes: set[str], name: str) -> str:
 def _kind(e57: Any, field: Any) -> np.dtype[Any] | None:
     """The type of the numbers of a field, None if it holds none."""
     if isinstance(field, e57.IntegerNode):
-        limits = (np.min_scalar_type(limit) for limit in (field.minimum(), field.maximum()))
-        dtype = np.result_type(*limits)
-        return dtype if dtype.kind in "iu" else np.dtype(np.int64)
+        low, high = field.minimum(), field.maximum()
+        return np.dtype(np.min_scalar_type(high if low >= 0 else min(low, -high - 1)))
     if isinstance(field, e57.FloatNode):
         return np.dtype(np.float32 if field.precision() == e57.E57_SINGLE else np.float64)
     return np.dtype(np.float64) if isinstance(field, e57.ScaledIntegerNode) else None
@@ -442,8 +441,8 @@ def _field(e57: Any, name: str, values: NDArray[Any], known: Any) -> Any:
         low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
         if known is not None and known[0] == "IntegerNode":
             low, high = min(low, known[2]), max(high, known[3])
-        elif values.dtype == np.uint8:
-            low, high = 0, 255
+        elif values.dtype.itemsize <= 2:  # as many bits as the type has, so that it is read as this type
+            low, high = int(np.iinfo(values.dtype).min), int(np.iinfo(values.dtype).max)
         return ("IntegerNode", low, low, high)
     return ("FloatNode", 0.0, e57.E57_SINGLE if values.dtype == np.float32 else e57.E57_DOUBLE)
 

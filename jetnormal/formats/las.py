@@ -202,7 +202,8 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, compress: bool) -> l
     added = _declare(laspy, header, others)
     table = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
     for axis, name in enumerate("XYZ"):
-        table[name], exact = _to_integers(points[:, axis], header.scales[axis], header.offsets[axis])
+        scale, offset = header.scales[axis], header.offsets[axis]
+        table[name], exact = _to_integers(points[:, axis], scale, offset, cloud.source.point_dtype)
         if not exact:
             warnings.append(f"{name.lower()} is rounded to multiples of {header.scales[axis]:g}")
     if extra is None and "return_number" not in standard:
@@ -245,15 +246,20 @@ def _decimal_scale(values: NDArray[np.float64]) -> float:
     return float(f"1e{-exponent}")
 
 
-def _to_integers(values: NDArray[np.float64], scale: float, offset: float) -> tuple[NDArray[np.int32], bool]:
-    """Coordinates as a file's integers, and whether these give the same coordinates, but for float64's rounding."""
+def _to_integers(
+    values: NDArray[np.float64], scale: float, offset: float, dtype: np.dtype[Any]
+) -> tuple[NDArray[np.int32], bool]:
+    """Coordinates as a file's integers, and whether these give the same ones as exactly as their type holds them."""
     scaled = np.rint((values - offset) / scale)
     if np.abs(scaled).max(initial=0) > _LARGEST:
         raise InputError(
             f"coordinates from {values.min():g} to {values.max():g} do not fit the LAS scale {scale:g} and offset "
             f"{offset:g} of the input; write another format"
         )
-    rounding = 4 * np.spacing(np.abs(values).max(initial=0) + abs(offset))
+    largest = np.abs(values).max(initial=0)
+    rounding = 4 * np.spacing(largest + abs(offset))
+    if dtype == np.float32:
+        rounding = max(rounding, float(np.spacing(np.float32(largest))) / 2)
     exact = bool(np.abs(scaled * scale + offset - values).max(initial=0) <= rounding)
     return scaled.astype(np.int32), exact
 

@@ -26,6 +26,7 @@ from typing import BinaryIO
 
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, JetnormalError
+from jetnormal.support.streams import STREAM
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ CONVERSIONS = {
     ".tzf": "export the scans as E57 from Trimble RealWorks",
     ".gz": "unpack it first: gunzip FILE",
     ".zip": "unpack it first: unzip FILE",
-    ".bin": "say what it is: --format kitti for rows of x, y, z and reflectance in float32",
+    ".bin": "say what it is: `format=kitti` for rows of x, y, z and reflectance in float32",
     **dict.fromkeys(
         (".obj", ".off", ".stl", ".glb", ".gltf"),
         "a mesh has surfaces of its own; save its vertices as PLY to treat them as points",
@@ -106,8 +107,8 @@ def find_format(path: Path, name: str | None = None) -> Format:
         raise InputError(f"{path}: unknown format {name!r}; there are {', '.join(names)}")
     if suffix in CONVERSIONS:
         raise InputError(f"{path}: {suffix} files are not read; {CONVERSIONS[suffix]}")
-    if path.name == "-":
-        raise InputError("-: say what the stream holds: --format ply, for instance")
+    if str(path) == STREAM:
+        raise InputError("-: `format` tells what a stream holds: `format=ply`, for instance")
     raise InputError(f"{path}: unknown suffix {path.suffix!r}; supported are {' '.join(suffixes())}")
 
 

@@ -48,14 +48,12 @@ class Layout:
         assigned = [tuple(word.strip() for word in part.partition("=")[::2]) for part in parts if "=" in part]
         names = [name for name, _ in assigned] if assigned else [part for part in parts if part != SKIPPED]
         if len(assigned) not in (0, len(parts)) or not all(names) or not all(there for _, there in assigned):
-            raise UsageError(f"--columns {text!r}: give names like id,x,y,z,- or assignments like x=East,y=North,z=Up")
+            raise UsageError(f"`columns={text}`: give names like id,x,y,z,- or assignments like x=East,y=North,z=Up")
         lower = [name.lower() for name in names]
         twice = next((name for name in lower if lower.count(name) > 1), None)
         missing = [name for name in COORDINATES if name not in lower]
         if twice or (missing and not assigned):
-            raise UsageError(
-                f"--columns {text!r}: {f'{twice!r} comes twice' if twice else f'{missing[0]!r} is missing'}"
-            )
+            raise UsageError(f"`columns={text}`: {f'{twice!r} comes twice' if twice else f'{missing[0]!r} is missing'}")
         if assigned:
             return cls(meant=tuple((name, there) for name, there in assigned))
         return cls(tuple(parts))
@@ -79,7 +77,7 @@ class Layout:
         """
         if self.names:
             if len(self.names) != len(columns):
-                raise UsageError(f"{path}: --columns names {len(self.names)} columns, but there are {len(columns)}")
+                raise UsageError(f"{path}: `columns` names {len(self.names)} columns, but there are {len(columns)}")
             return list(self.names), ()
         if self.meant:
             return self._rename(named, path), ()
@@ -88,17 +86,17 @@ class Layout:
         names = guess_names(columns, suffix)
         if names[0] != POINT_NUMBER:
             return names, ()
-        return names, ("the first column counts the points: it is taken as their number; --columns tells otherwise",)
+        return names, ("the first column counts the points: it is taken as their number; `columns` tells otherwise",)
 
     def _rename(self, named: Sequence[str] | None, path: Path) -> list[str]:
         if named is None:
-            raise UsageError(f"{path}: has no line of names; give --columns as a list, such as x,y,z,-")
+            raise UsageError(f"{path}: has no line of names; give `columns` as a list, such as x,y,z,-")
         lower = {name.lower(): name for name in reversed(named)}
         meant = find_coordinates(named) or {}
         for name, there in self.meant:
             spelled = there if there in named else lower.get(there.lower())
             if spelled is None:
-                raise UsageError(f"{path}: --columns: there is no column {there!r} among {', '.join(named)}")
+                raise UsageError(f"{path}: `columns`: there is no column {there!r} among {', '.join(named)}")
             meant = {key: value for key, value in meant.items() if value != name} | {spelled: name}
         return _with_names(named, meant)
 

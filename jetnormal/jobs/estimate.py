@@ -5,6 +5,7 @@ finite, distinct points -> estimator -> signs -> normals and what else was asked
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal import formats
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
 from jetnormal.estimators.base import Estimator, Prediction
-from jetnormal.jobs.options import DEFAULT_MODEL, EstimateOptions, NormalOptions
+from jetnormal.jobs.files import check_file, check_format, read_file, write_file
+from jetnormal.jobs.options import DEFAULT_MODEL, EstimateOptions, FileOptions, NormalOptions
 from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 
 if TYPE_CHECKING:
@@ -75,15 +76,20 @@ class Result:
 
 
 def estimate_file(
-    source: Path, target: Path, options: EstimateOptions, *, encoding: str | None = None, overwrite: bool = False
+    source: Path,
+    target: Path,
+    options: EstimateOptions,
+    files: FileOptions = FileOptions(),  # noqa: B008 - frozen
+    *,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Read a cloud, estimate its normals and write it with them.
 
     Args:
-        source: the file to read.
-        target: the file to write; its suffix tells the format.
-        options: how.
-        encoding: of the written file; None keeps the input's.
+        source: the file to read, or "-" for standard input.
+        target: the file to write, whose suffix tells the format, or "-" for standard output.
+        options: how normals are estimated.
+        files: how the files are read and written.
         overwrite: whether an existing output may be replaced.
 
     Returns:
@@ -95,18 +101,43 @@ def estimate_file(
         UsageError, ModelError, ResourceError: as `jetnormal.estimate`.
     """
     timer = StageTimer()
-    formats.check_target(target, encoding=encoding, overwrite=overwrite)
+    check_format(files, source, target)
+    check_file(target, files, overwrite=overwrite)
     with timer.stage("model"):
         estimator = prepare_estimator(options)  # before the cloud, which may take minutes to read
+    return run_file(source, target, options, files, estimator, timer, overwrite=overwrite)
+
+
+def run_file(
+    source: Path,
+    target: Path,
+    options: EstimateOptions,
+    files: FileOptions,
+    estimator: Estimator,
+    timer: StageTimer,
+    *,
+    overwrite: bool = False,
+    turn: AbstractContextManager[Any] | None = None,
+) -> dict[str, Any]:
+    """Do what `estimate_file` does with an estimator that is there already.
+
+    Args:
+        source, target, options, files, overwrite: as for `estimate_file`.
+        estimator: what `prepare_estimator` made of the options.
+        timer: takes the stages read, clean, estimate, orient and write.
+        turn: is entered for the computation, so that of several files that are read and written at the same time one
+            is computed.
+    """
     with timer.stage("read"):
-        cloud = formats.read(source)
+        cloud = read_file(source, files)
     try:
-        result = find_normals(cloud, options, estimator, timer)
+        with turn or nullcontext():
+            result = find_normals(cloud, options, estimator, timer)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     finished, replaced = with_normals(cloud, result, options)
     with timer.stage("write"):
-        losses = formats.write(finished, target, encoding=encoding, overwrite=overwrite)
+        losses = write_file(finished, target, files, overwrite=overwrite)
     notes = [f"{source}: {note}" for note in cloud.source.notes]
     busy = timer.seconds["estimate"] + timer.seconds["orient"]
     valid = int(result.valid.sum())

@@ -119,6 +119,66 @@ class NormalOptions(OptionSet):
 
 
 @dataclass(frozen=True)
+class ReadOptions(OptionSet):
+    """How the file of a cloud is read."""
+
+    _: KW_ONLY
+    format: Annotated[
+        str | None,
+        Option(
+            "Format where no suffix tells it: ply, las, csv... for - (a stream), kitti for .bin.",
+            metavar="NAME", default="the suffix", group="Files",
+        ),
+    ] = None  # fmt: skip
+    columns: Annotated[
+        str | None,
+        Option(
+            "What the columns of a text file are: id,x,y,z,- or x=East,y=North,z=Height.",
+            metavar="NAMES", default="by their names, else x,y,z first", group="Files",
+        ),
+    ] = None  # fmt: skip
+    decimal: Annotated[
+        Literal["point", "comma"] | None,
+        Option("Decimal sign of a text file.", default="a comma only between semicolons", group="Files"),
+    ] = None
+
+
+@dataclass(frozen=True)
+class FileOptions(ReadOptions):
+    """How the files of a cloud are read and written."""
+
+    _: KW_ONLY
+    encoding: Annotated[
+        str | None, Option("Encoding of the output, such as ascii.", metavar="E", default="the input's", group="Files")
+    ] = None
+
+
+@dataclass(frozen=True)
+class BatchOptions(OptionSet):
+    """How many files go into one folder."""
+
+    _: KW_ONLY
+    suffix: Annotated[
+        str, Option("End of the names of the files in DIR, as _n.", metavar="TEXT", group="Many files")
+    ] = ""
+    jobs: Annotated[
+        int,
+        Option(
+            "Files in memory at a time: while one is computed, others are read and written.",
+            low=1, metavar="N", group="Many files",
+        ),
+    ] = 2  # fmt: skip
+    skip_existing: Annotated[
+        bool, Option("Go on after an interruption: leave out what is in DIR already.", group="Many files")
+    ] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if {"/", "\\"} & set(self.suffix):
+            raise UsageError(f"`suffix` is the end of a name, not a path: {self.suffix!r}")
+
+
+@dataclass(frozen=True)
 class EstimateOptions(NormalOptions):
     """What `jetnormal.estimate` does: how normals are estimated, and what a cloud gets beside them."""
 

@@ -15,7 +15,8 @@ from jetnormal.errors import InputError, UsageError
 from jetnormal.formats import atomic
 from jetnormal.formats.meshes import MESH_SUFFIXES, read_mesh
 from jetnormal.formats.ply_header import read_header
-from jetnormal.jobs.options import PreviewOptions
+from jetnormal.jobs.files import check_format, read_file
+from jetnormal.jobs.options import PreviewOptions, ReadOptions
 from jetnormal.mesh import Mesh
 from jetnormal.rendering.light import BACKGROUNDS
 from jetnormal.rendering.scene import Scene, cloud_scene, mesh_scene
@@ -26,7 +27,13 @@ GAP = 0.03  # between views, of the size
 
 
 def preview_file(
-    source: Path, picture: Path | None, page: Path | None, options: PreviewOptions, *, overwrite: bool = False
+    source: Path,
+    picture: Path | None,
+    page: Path | None,
+    options: PreviewOptions,
+    files: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
+    *,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Draw a cloud or a mesh.
 
@@ -35,6 +42,7 @@ def preview_file(
         picture: the PNG file to write, or None.
         page: the HTML file to write, or None.
         options: how.
+        files: how a cloud is read.
         overwrite: whether existing files may be replaced.
 
     Returns:
@@ -52,9 +60,10 @@ def preview_file(
             if target.suffix.lower() not in suffixes:
                 raise InputError(f"{target}: {target.suffix!r} is not {' or '.join(suffixes)}")
             atomic.check_target(target, overwrite)
+    check_format(files, source)
     timer = StageTimer()
     with timer.stage("read"):
-        subject = _read(source)
+        subject = _read(source, files)
     try:
         scenes = [_scene(subject, colors).turned_up(np.array(options.up)) for colors in options.colors]
     except InputError as error:
@@ -107,11 +116,11 @@ def _scene(subject: Cloud | Mesh, coloring: str) -> Scene:
     return mesh_scene(subject, coloring) if isinstance(subject, Mesh) else cloud_scene(subject, coloring)
 
 
-def _read(path: Path) -> Cloud | Mesh:
+def _read(path: Path, files: ReadOptions) -> Cloud | Mesh:
     """The mesh in a file, or the cloud if it is one."""
     suffix = path.suffix.lower()
-    if suffix in formats.suffixes() and not (suffix == ".ply" and _has_faces(path)):
-        return formats.read(path)
+    if (suffix in formats.suffixes() or files.format is not None) and not (suffix == ".ply" and _has_faces(path)):
+        return read_file(path, files)
     if suffix not in MESH_SUFFIXES:
         known = sorted({*formats.suffixes(), *MESH_SUFFIXES})
         raise InputError(f"{path}: unknown suffix {path.suffix!r}; supported are {' '.join(known)}")

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal import formats
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError
 from jetnormal.formats.meshes import check_mesh_target, write_mesh
 from jetnormal.formats.ply import PlyExtra
 from jetnormal.jobs.estimate import MAX_COORDINATE, find_normals, prepare_estimator
-from jetnormal.jobs.options import DEPTHS, ReconstructOptions
+from jetnormal.jobs.files import check_format, read_file
+from jetnormal.jobs.options import DEPTHS, ReadOptions, ReconstructOptions
 from jetnormal.mesh import Mesh
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb
 
@@ -32,14 +32,20 @@ FOR_NORMALS = ("model", "k", "order", "iterations", "orient", "viewpoint", "view
 
 
 def reconstruct_file(
-    source: Path, target: Path, options: ReconstructOptions, *, overwrite: bool = False
+    source: Path,
+    target: Path,
+    options: ReconstructOptions,
+    files: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
+    *,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Read a cloud, make a mesh of it and write that.
 
     Args:
-        source: the cloud.
+        source: the cloud, or "-" for standard input.
         target: the mesh; its suffix tells the format (`formats.meshes`).
         options: how.
+        files: how the cloud is read.
         overwrite: whether an existing output may be replaced.
 
     Returns:
@@ -52,9 +58,10 @@ def reconstruct_file(
         UsageError, ModelError, ResourceError: as `jetnormal.reconstruct`.
     """
     timer = StageTimer()
+    check_format(files, source)
     check_mesh_target(target, overwrite=overwrite)
     with timer.stage("read"):
-        cloud = formats.read(source)
+        cloud = read_file(source, files)
     try:
         mesh, facts = reconstruct_cloud(cloud, options, timer)
     except InputError as error:

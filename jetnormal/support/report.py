@@ -48,24 +48,35 @@ def configure_logging(verbosity: int) -> None:
     logger.setLevel(level)
 
 
+_shown = False
+"""Whether some progress is on the screen now; a second one would overwrite it."""
+
+
 @contextmanager
 def progress(description: str, total: int, unit: str = "points") -> Iterator[Advance]:
     """Show how far a loop is, how fast, and how long it still needs; yield the function that advances it.
 
     On a terminal this is a bar that vanishes when done, elsewhere a log line every ten seconds. Nothing is
-    shown where the package does not log information: under `-q`, and in programs that use it as a library.
+    shown where the package does not log information: under `-q`, and in programs that use it as a library; nor
+    within another loop that is shown.
 
     Args:
         description: what is being done, such as "estimating normals".
         total: number of units in all.
         unit: plural name of what is counted.
     """
-    if not logger.isEnabledFor(logging.INFO):
+    global _shown
+    if _shown or not logger.isEnabledFor(logging.INFO):
         yield lambda count, note="": None
-    elif sys.stderr.isatty():
-        yield from _bar(description, total, unit)
-    else:
-        yield _log_lines(description, total, unit)
+        return
+    _shown = True
+    try:
+        if sys.stderr.isatty():
+            yield from _bar(description, total, unit)
+        else:
+            yield _log_lines(description, total, unit)
+    finally:
+        _shown = False
 
 
 def _bar(description: str, total: int, unit: str) -> Iterator[Advance]:

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import jetnormal
 from jetnormal import errors
 from jetnormal.cli.app import app, main
-from jetnormal.jobs.options import EstimateOptions
+from jetnormal.jobs.options import EstimateOptions, FileOptions
 
 COMMANDS = sorted(get_command(app).commands)
 SUMMARY = {
@@ -172,6 +172,12 @@ def test_interrupt_exits_130_without_traceback(estimation, monkeypatch, capsys):
         ["estimate", "in.ply", "-o", "out.ply", "--batch-size", "0"],
         ["estimate", "in.ply", "-o", "out.ply", "-q", "-v"],
         ["estimate", "in.ply", "-o", "out.ply", "--unknown"],
+        ["estimate", "a.ply", "b.ply", "-o", "out.ply"],
+        ["estimate", "in.ply", "-o", "out.ply", "--out-dir", "out"],
+        ["estimate", "in.ply", "-o", "out.ply", "--skip-existing"],
+        ["estimate", "in.ply", "--out-dir", "out", "--mesh", "mesh.ply"],
+        ["estimate", "-", "--out-dir", "out", "--format", "ply"],
+        ["estimate", "in.ply", "-o", "-", "--format", "ply", "--mesh", "mesh.ply"],
         ["unknown"],
     ],
 )
@@ -188,7 +194,7 @@ def test_estimate_hands_over_its_options(estimation, monkeypatch):
     assert run(monkeypatch, *arguments.split()) == 0
     ((source, target, options, file),) = estimation.calls
     assert (str(source), str(target)) == ("in.ply", "out.pcd")
-    assert file == {"encoding": "ascii", "overwrite": True}
+    assert file == {"files": FileOptions(encoding="ascii"), "overwrite": True}
     assert options == EstimateOptions(
         "jet",
         k=32,

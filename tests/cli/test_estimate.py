@@ -78,3 +78,27 @@ def test_an_interrupt_exits_with_130_and_leaves_nothing(tmp_path):
         process.stderr.read()
         assert process.wait(timeout=60) == 130
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cloud_goes_through_the_standard_streams(tmp_path):
+    rows = b"".join(b"%d %d 0\n" % (index % 7, index // 7) for index in range(49))
+    command = [*PROGRAM, "-", "-o", "-", "--format", "xyz", "--model", "pca:k=6", "--orient", "up"]
+    result = subprocess.run(command, input=rows, capture_output=True, timeout=120)
+    assert result.returncode == 0, result.stderr
+    written = result.stdout.splitlines()
+    assert len(written) == 49 and written[8] == b"1 1 0 0 0 1"
+    result = subprocess.run(command, input=b"1 2\n", capture_output=True, timeout=120)
+    assert result.returncode == 3 and b"standard input: line 1: 2 values" in result.stderr
+
+
+def test_files_that_fail_do_not_stop_the_others(tmp_path):
+    (tmp_path / "bad.ply").write_text("no cloud")
+    formats.write(Cloud(np.random.default_rng(0).random((60, 3))), tmp_path / "good.xyz")
+    arguments = (tmp_path / "bad.ply", tmp_path / "good.xyz", "--out-dir", tmp_path / "out", "--model", "pca", "--json")
+    result = estimate(*arguments)
+    assert result.returncode == 3 and "Traceback" not in result.stderr
+    summary = json.loads(result.stdout)
+    assert [done["output"] for done in summary["files"]] == [str(tmp_path / "out" / "good.xyz")]
+    (failure,) = summary["failed"]
+    assert failure["code"] == 3 and failure["error"].startswith(failure["input"]) and failure["error"] in result.stderr
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["good.xyz"]

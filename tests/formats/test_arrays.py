@@ -109,7 +109,7 @@ def test_damaged_and_pickled_files_are_named(tmp_path):
     np.savez(tmp_path / "uneven.npz", x=np.ones(3), y=np.ones(3), z=np.ones(2))
     with pytest.raises(InputError, match="the same number of rows"):
         formats.read(tmp_path / "uneven.npz")
-    with pytest.raises(UsageError, match="--decimal"):
+    with pytest.raises(UsageError, match="`decimal`"):
         formats.read(tmp_path / "a.npy", decimal="comma")
 
 
@@ -120,7 +120,7 @@ def test_kitti_scans_know_their_sensor(tmp_path):
     assert np.array_equal(cloud.points, POINTS) and not cloud.source.sensors.any()
     assert cloud.attributes["intensity"].dtype == np.float32
     formats.write(cloud, tmp_path / "a.pcd")
-    with pytest.raises(InputError, match="--format kitti"):
+    with pytest.raises(InputError, match="`format=kitti`"):
         formats.read(tmp_path / "0000.bin")
     with pytest.raises(InputError, match="cannot hold normals"):
         formats.write(cloud, tmp_path / "b.bin", format="kitti")

@@ -134,14 +134,17 @@ def test_other_clouds_become_e57(tmp_path):
     points[4] = np.nan
     colors = dict.fromkeys(("red", "green", "blue"), np.arange(30, dtype=np.uint8))
     source = Source("pcd", "binary", viewpoint=(1.5, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0))
-    cloud = Cloud(points, points, {**colors, "a b": np.arange(30)}, source)
+    small = {f"of_{kind}": np.arange(30).astype(kind) - 3 for kind in ("i1", "i2")}
+    cloud = Cloud(points, points, {**colors, "a b": np.arange(30), **small}, source)
     lost, warning = formats.write(cloud, tmp_path / "a.e57")
     assert "1 points without finite" in lost and "'a_b'" in warning
     again = formats.read(tmp_path / "a.e57")
     kept = np.isfinite(points[:, 0])
     np.testing.assert_allclose(again.points, points[kept], atol=1e-15)
     assert (again.source.sensors == [1.5, 2, 3]).all()
-    assert list(again.attributes) == ["red", "green", "blue", "a_b", "scan"]
+    assert list(again.attributes) == ["red", "green", "blue", "a_b", "of_i1", "of_i2", "scan"]
+    for name, values in small.items():
+        assert again.attributes[name].dtype == values.dtype and np.array_equal(again.attributes[name], values[kept])
     formats.write(again, tmp_path / "b.e57")
     assert (tmp_path / "a.e57").read_bytes() != b"" and len(formats.read(tmp_path / "b.e57")) == 29
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jetnormal import formats
-from jetnormal.cloud import Cloud
+from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 
 laspy = pytest.importorskip("laspy")
@@ -162,6 +162,13 @@ def test_coordinates_between_the_finest_steps_are_rounded_and_said_so(tmp_path):
     warnings = formats.write(Cloud(points), tmp_path / "a.las")
     assert len(warnings) == 3 and "x is rounded to multiples of 1e-05" in warnings[0]
     np.testing.assert_allclose(formats.read(tmp_path / "a.las").points, points, atol=0.5e-5)
+
+
+def test_single_precision_needs_no_warning(tmp_path):
+    points = np.random.default_rng(1).uniform(-90, 90, (20, 3)).astype(np.float32)
+    cloud = Cloud(points, source=Source(point_dtype=np.dtype(np.float32)))
+    assert formats.write(cloud, tmp_path / "a.las") == []
+    np.testing.assert_allclose(formats.read(tmp_path / "a.las").points, points, atol=1e-7)
 
 
 def test_the_records_are_missed_in_other_formats(tmp_path):

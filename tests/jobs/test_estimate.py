@@ -12,7 +12,7 @@ from jetnormal.cloud import Source
 from jetnormal.errors import InputError, ModelError, UsageError
 from jetnormal.geometry.metrics import angles
 from jetnormal.jobs.estimate import estimate_file
-from jetnormal.jobs.options import EstimateOptions
+from jetnormal.jobs.options import EstimateOptions, FileOptions
 
 
 def test_normals_of_an_array_point_outwards():
@@ -151,7 +151,7 @@ def test_wrong_options_are_told_before_the_cloud_is_read(tmp_path, options, erro
     encoding = options.pop("encoding", None)
     options = EstimateOptions(**({"model": "pca"} | options))
     with pytest.raises(error):
-        estimate_file(tmp_path / "in.xyz", tmp_path / "out.ply", options, encoding=encoding)
+        estimate_file(tmp_path / "in.xyz", tmp_path / "out.ply", options, FileOptions(encoding=encoding))
 
 
 def test_coordinates_whose_squares_overflow_are_an_input_error():

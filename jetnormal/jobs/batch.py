@@ -1,0 +1,147 @@
+"""Many files into one folder, with one model: a file that fails does not stop the others."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from jetnormal import formats
+from jetnormal.errors import InputError, JetnormalError, ResourceError, UsageError
+from jetnormal.estimators.base import Estimator
+from jetnormal.jobs.estimate import prepare_estimator, run_file
+from jetnormal.jobs.files import check_file
+from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions
+from jetnormal.support.report import StageTimer, peak_memory_mb, progress
+
+
+def estimate_files(
+    sources: Sequence[Path],
+    folder: Path,
+    options: EstimateOptions,
+    files: FileOptions = FileOptions(),  # noqa: B008 - frozen
+    batch: BatchOptions = BatchOptions(),  # noqa: B008 - frozen
+    *,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Estimate the normals of many clouds, each as `jobs.estimate.estimate_file` does.
+
+    The clouds are computed one after the other, with all threads; others are read and written meanwhile.
+
+    Args:
+        sources: the files to read.
+        folder: where the files to write go, under the names of the sources; it is made if it is missing.
+        options: how normals are estimated.
+        files: how files are read and written; `format` is that of the written ones.
+        batch: what is written, and how many clouds are in memory at a time.
+        overwrite: whether existing outputs may be replaced.
+
+    Returns:
+        A summary: folder, files (the summaries of those that are done), skipped (outputs that were there), failed
+        (input, error and code of each), seconds (by stage, added up), peak_memory_mb.
+
+    Raises:
+        UsageError: two sources would be written to one file, or options contradict each other.
+        InputError: the folder cannot be made, or a target cannot be written.
+        ModelError, ResourceError: as `jetnormal.estimate`.
+    """
+    if overwrite and batch.skip_existing:
+        raise UsageError("`skip_existing` contradicts `overwrite`: leave one of them out")
+    targets = [target_for(source, folder, files, batch) for source in sources]
+    _check_names(sources, targets)
+    skipped = [target for target in targets if batch.skip_existing and target.exists()]
+    todo = [(source, target) for source, target in zip(sources, targets, strict=True) if target not in skipped]
+    _make_folder(folder)
+    for _, target in todo:
+        check_file(target, files, overwrite=overwrite)
+    timer = StageTimer()
+    with timer.stage("model"):
+        estimator = prepare_estimator(options)
+    done, failed = _run(todo, options, files, estimator, batch.jobs, overwrite)
+    for summary in done:
+        for stage, seconds in summary["seconds"].items():
+            timer.seconds[stage] = timer.seconds.get(stage, 0.0) + seconds
+    return {
+        "folder": str(folder),
+        "files": done,
+        "skipped": [str(target) for target in skipped],
+        "failed": failed,
+        "seconds": timer.seconds,
+        "peak_memory_mb": peak_memory_mb(),
+    }
+
+
+def target_for(source: Path, folder: Path, files: FileOptions, batch: BatchOptions) -> Path:
+    """Tell where the result for a source goes. What cannot hold normals becomes PLY."""
+    if files.format is not None and formats.find_format(Path("-"), files.format).write is not None:
+        ending = f".{files.format.lower().removeprefix('.')}"
+    else:
+        known = formats.find_format(source, formats.format_for(source, files.format))
+        ending = ".ply" if known.write is None else source.suffix
+    stem = source.name.removesuffix(source.suffix).removesuffix(".copc")  # the octree of a COPC file is not written
+    return folder / f"{stem}{batch.suffix}{ending}"
+
+
+def _check_names(sources: Sequence[Path], targets: Sequence[Path]) -> None:
+    taken: dict[Path, Path] = {}
+    inputs = {source.resolve() for source in sources}
+    for source, target in zip(sources, targets, strict=True):
+        if target in taken:
+            raise UsageError(f"{source} and {taken[target]} would both become {target}; run them into two folders")
+        if target.resolve() in inputs:
+            raise UsageError(f"{target} is an input itself: choose another folder, or give `suffix=_n`")
+        taken[target] = source
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: the folder cannot be made ({error.strerror or error})") from error
+
+
+def _run(
+    todo: Sequence[tuple[Path, Path]],
+    options: EstimateOptions,
+    files: FileOptions,
+    estimator: Estimator,
+    jobs: int,
+    overwrite: bool,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """The summaries of the files that are done, and what failed, in the order of the files."""
+    turn = threading.Lock()
+    sizes = [source.stat().st_size if source.is_file() else 0 for source, _ in todo]
+
+    def run_one(source: Path, target: Path) -> dict[str, Any]:
+        return run_file(source, target, options, files, estimator, StageTimer(), overwrite=overwrite, turn=turn)
+
+    done: dict[int, dict[str, Any]] = {}
+    failed: dict[int, dict[str, Any]] = {}
+    with progress("files", max(1, sum(sizes)), "bytes") as advance, ThreadPoolExecutor(jobs) as pool:
+        waiting: dict[Future[dict[str, Any]], int] = {
+            pool.submit(run_one, source, target): index for index, (source, target) in enumerate(todo)
+        }
+        try:
+            for finished in as_completed(waiting):
+                index = waiting[finished]
+                error = finished.exception()
+                if error is None:
+                    done[index] = finished.result()
+                else:
+                    failed[index] = {"input": str(todo[index][0]), **_failure(error)}
+                advance(sizes[index], f"{len(done) + len(failed)} of {len(todo)} files")
+        except BaseException:  # Ctrl-C: what has begun is ended, what has not is not begun
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [done[index] for index in sorted(done)], [failed[index] for index in sorted(failed)]
+
+
+def _failure(error: BaseException) -> dict[str, Any]:
+    """What to say about a file that failed, and the exit code that its error has."""
+    if isinstance(error, JetnormalError):
+        return {"error": " ".join(str(error).split()), "code": error.exit_code}
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":  # PyTorch's, on a GPU
+        return {"error": "out of memory: try fewer `jobs` or a smaller `batch_size`", "code": ResourceError.exit_code}
+    return {"error": f"{type(error).__name__}: {error}", "code": JetnormalError.exit_code}
