@@ -35,7 +35,7 @@ def _depth(target: Target, count: int, rng: np.random.Generator, errors: RangeEr
     raster = Pinhole(*pose(rng, distance))
     sampling = Sampling(count, rng.uniform(0.8, 1.25))
     window = window_of(target, raster, _closeness(rng), rng)
-    chosen = errors or camera_errors(rng, distance, log_uniform(rng, 2e-4, 1e-2))
+    chosen = errors or camera_errors(rng, distance, log_uniform(rng, 1e-4, 6e-3))
     return read_raster("depth", target, raster, window, sampling, chosen, rng)
 
 
@@ -47,9 +47,9 @@ def _lidar(target: Target, count: int, rng: np.random.Generator) -> Scan:
     start, turn = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1]) * rng.uniform(0.05, 2 * np.pi / max(places, 2))
     height, tilt = rng.uniform(-0.3, 0.8), rng.choice([0.0, rng.uniform(0, 0.6)])
     sampling = Sampling(
-        max(1, count // places), log_uniform(rng, 1.5, 25.0), rng.uniform(0, 0.15), rng.uniform(0, 0.5) ** 2
+        max(1, count // places), log_uniform(rng, 1.5, 16.0), rng.uniform(0, 0.15), rng.uniform(0, 0.5) ** 2
     )
-    errors, registration = lidar_errors(rng, far, log_uniform(rng, 5e-5, 6e-3)), registration_errors(rng, 1e-5, 6e-3)
+    errors, registration = lidar_errors(rng, far, log_uniform(rng, 5e-5, 4e-3)), registration_errors(rng, 1e-5, 3e-3)
     views = []
     for place in range(places):
         distance = far * rng.uniform(0.8, 1.25)
@@ -64,7 +64,7 @@ def _station(target: Target, count: int, rng: np.random.Generator) -> Scan:
     places = int(rng.integers(1, 6))
     up = unit(rng.normal(size=3))
     angles = rng.uniform(0, 2 * np.pi) + np.arange(places) * 2 * np.pi / places + rng.normal(scale=0.4, size=places)
-    sigma, registration = log_uniform(rng, 2e-5, 3e-3), registration_errors(rng, 1e-5, 6e-3)
+    sigma, registration = log_uniform(rng, 2e-5, 3e-3), registration_errors(rng, 1e-5, 3e-3)
     sampling = Sampling(max(1, count // places), log_uniform(rng, 0.5, 2.0), rng.uniform(0, 0.2))
     views = []
     for angle in angles:
@@ -80,7 +80,7 @@ def _fused(target: Target, count: int, rng: np.random.Generator) -> Scan:
     """Views of one device from all sides, put together with errors of the registration."""
     places = round(log_uniform(rng, 3, 25))
     single, errors = (_stripe, stripe_errors) if rng.random() < 0.6 else (_depth, camera_errors)
-    device = errors(rng, 1.5, log_uniform(rng, 5e-5, 6e-3))
+    device = errors(rng, 1.5, log_uniform(rng, 5e-5, 4e-3))
     registration = registration_errors(rng, 1e-5, 6e-3)
     views = [registration(single(target, max(1, count // places), rng, device), rng) for _ in range(places)]
     return replace(merged(views), kind="fused")

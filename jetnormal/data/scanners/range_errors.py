@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+STEEPEST = 0.2  # cosine of the incidence at which errors stop to grow
+
 
 class Readings(NamedTuple):
     """What a scanner reads from a raster of rays.
@@ -77,7 +79,7 @@ class RangeErrors:
         true = np.where(hit, distance, 0.0)
         returned = hit & (rng.random(true.shape) > self.lost) & self._strong(cosine, rng)
         mixed, between = self._mixed_pixels(true, hit, cosine, gaps, rng)
-        growth = (true / self.reference) ** self.range_power / np.maximum(cosine, 0.1) ** self.grazing_power
+        growth = (true / self.reference) ** self.range_power / np.maximum(cosine, STEEPEST) ** self.grazing_power
         measured = self._rounded(between + growth * self._unit_errors(true.shape, rng))
         returned &= (measured > 0) & (true < self.reach)
         return Readings(measured, returned, returned & ~mixed)
