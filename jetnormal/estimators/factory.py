@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 from jetnormal.errors import ModelError, UsageError
 from jetnormal.networks.model_file import read_description
 from jetnormal.networks.packaged import packaged_names, resolve
+from jetnormal.support.options import MAX_THREADS
 
 if TYPE_CHECKING:
     from jetnormal.estimators.base import Estimator
 
 CLASSICAL = ("pca", "jet")
 SETTINGS = ("k", "order", "iterations")
+LARGEST = {"k": 2**31, "order": 2**31, "iterations": 1000, "batch_size": 2**31, "threads": MAX_THREADS}
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,8 @@ def make_estimator(
     given = {"k": k, "order": order, "iterations": iterations} | settings
     chosen = {key: value for key, value in given.items() if value is not None}
     for key, value in (chosen | {"batch_size": batch_size, "threads": threads}).items():
-        if value is not None and value < 1:
-            raise UsageError(f"{key} must be at least 1, not {value}")
+        if value is not None and not 1 <= value <= LARGEST[key]:
+            raise UsageError(f"{key} must be 1 to {LARGEST[key]}, not {value}")
     path = None if name in CLASSICAL else resolve(name, CLASSICAL)
     kind = _KINDS[name] if path is None else _kind_of(path)
     if not kind.runs_on_gpu and device not in ("auto", "cpu"):
@@ -108,7 +110,7 @@ def _kind_of(path: Path) -> _Kind:
 def _parse(model: str) -> tuple[str, dict[str, int]]:
     """Split "name:key=value,..." at its last colon; a path may hold colons of its own."""
     name, colon, text = model.rpartition(":")
-    if not colon or "=" not in text or Path(model).exists():
+    if not colon or "=" not in text or _is_file(model):
         return model, {}
     settings = {}
     for item in text.split(","):
@@ -117,6 +119,13 @@ def _parse(model: str) -> tuple[str, dict[str, int]]:
             raise UsageError(f"{model}: {item!r} is no setting; write k=, order= or iterations= and a number")
         settings[key] = int(value)
     return name, settings
+
+
+def _is_file(name: str) -> bool:
+    try:
+        return Path(name).exists()
+    except OSError:  # such as a name too long for a file
+        return False
 
 
 def _only(chosen: dict[str, int], model: str, allowed: tuple[str, ...]) -> dict[str, int]:

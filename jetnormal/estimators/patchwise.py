@@ -18,6 +18,7 @@ from torch import Tensor
 
 from jetnormal.errors import UsageError
 from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction, joined
+from jetnormal.estimators.weights import check_finite, usable_weights
 from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.geometry.patches import Patches, build_patches
@@ -181,11 +182,13 @@ def network_estimator(
     bfloat16 = multiplies_bfloat16(device)
 
     def fit(patches: Patches) -> _Fit:
-        with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
+        with usable_weights(name), torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
             found = network(patches.points, iterations=iterations)
+            curvatures = found.jet.curvatures()[0]
+        check_finite(found.refined, name)
         before = found.rough if network.correction is not None else found.rotation[:, :, 2]
         before = before * torch.where((before * found.refined).sum(1, keepdim=True) < 0, -1.0, 1.0)
-        return _Fit(found.refined, before, agreement(before, found.refined), found.jet.curvatures()[0])
+        return _Fit(found.refined, before, agreement(before, found.refined), curvatures)
 
     k = _checked_k(k or network.config.neighbors)
     # Narrow layers need more rows to be worth a call, and leave room for them in the cache.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.errors import ModelError
 from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction
 from jetnormal.estimators.blocks import in_blocks
 from jetnormal.geometry.neighbors import COLLINEAR
@@ -79,9 +80,13 @@ class CloudEstimator:
 
     def _block(self, points: NDArray[np.float64]) -> Prediction:
         """The prediction for all points of a block, which is looked at as a whole."""
-        points = points - points.mean(axis=0)
+        points = points - np.median(points, axis=0)  # a few that are far away take no digit from the others
         pyramid = build_pyramid(points, len(self.config.channels), self.threads)
         found = self.find(pyramid, self.iterations, self.threads)
+        if not np.isfinite(found.normals).all(axis=1).any():
+            raise ModelError(
+                f"{self.name}: its weights lead to no finite normals; train it anew or choose another model"
+            )
         ancestors = _ancestors(pyramid)
         curvatures = _curvatures(points, found, pyramid, ancestors)
         sound = _spans_plane(pyramid, ancestors)

@@ -11,12 +11,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from jetnormal.errors import ModelError
+from jetnormal.errors import ModelError, UsageError
 from jetnormal.formats.atomic import atomic_write
+from jetnormal.networks.model_file import LARGEST_WEIGHT
 from jetnormal.networks.packaged import resolve
+from jetnormal.support.device import torch_threads
+from jetnormal.support.options import build
 
 if TYPE_CHECKING:
     from jetnormal.networks.cloudfit.network import CloudFit
@@ -36,6 +40,7 @@ ARCHITECTURES = {
     "pcpnet": ("pcpnet", "PCPNet", "PCPNetConfig"),
     "nestinet": ("nestinet", "NestiNet", "NestiNetConfig"),
 }
+LONGEST_LIST = 64  # in a configuration: a network has a module or more for each item
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
@@ -77,7 +82,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
                 raise ModelError(f"{path}: not a model of jetnormal; train one with `jetnormal train`")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             return tensors, dict(json.loads(text["description"]))
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise ModelError(f"{path}: damaged or not a safetensors file ({error})") from error
 
 
@@ -96,28 +101,52 @@ def save_model(path: Path, network: Network, training: dict[str, Any]) -> None:
 
 
 def load_model(name: str | Path) -> Network:
-    """Loads a packaged network by its name, or a network from a file, ready for inference on the CPU.
+    """Load a packaged network by its name, or a network from a file, ready for inference on the CPU.
 
     Raises:
-        ModelError: if there is no such model, or the file is damaged.
+        ModelError: there is no such model, the file is damaged, or a weight is NaN, infinite or beyond 10^6.
     """
     path = resolve(name)
     tensors, metadata = load_tensors(path)
-    architecture = metadata.get("architecture")
+    architecture = str(metadata.get("architecture"))
     if architecture not in ARCHITECTURES:
         raise ModelError(f"{path}: holds no network (architecture {architecture!r})")
-    try:
-        network = _build(architecture, metadata["config"])
-        network.load_state_dict(tensors)
-    except (TypeError, KeyError, ValueError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise ModelError(f"{path}: its configuration and its weights do not fit ({reason})") from error
-    return network.for_inference()
+    with torch_threads(None):
+        try:
+            # On the meta device nothing is allocated, and nothing drawn at random, before the shapes are compared.
+            with torch.device("meta"):
+                network = _build(architecture, dict(metadata["config"]))
+            _check_tensors(tensors, network.state_dict())
+        except (UsageError, TypeError, KeyError, ValueError, RuntimeError, OverflowError) as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise ModelError(f"{path}: its configuration and its weights do not fit ({reason[:200]})") from error
+        network.load_state_dict(tensors, assign=True)
+        return network.for_inference()
 
 
 def _build(architecture: str, config: dict[str, Any]) -> Network:
     """A network by its architecture and its configuration."""
+    if any(isinstance(value, list) and len(value) > LONGEST_LIST for value in config.values()):
+        raise ValueError(f"a list of more than {LONGEST_LIST} items")
     module, network, configuration = ARCHITECTURES[architecture]
     found = import_module(f"jetnormal.networks.{module}")
-    built: Network = getattr(found, network)(getattr(found, configuration)(**config))
+    built: Network = getattr(found, network)(build(getattr(found, configuration), config))
     return built
+
+
+def _check_tensors(tensors: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
+    """Find out whether tensors are what a network takes.
+
+    Raises:
+        ValueError: one is missing, not needed, of another shape or type, or holds what is no usable number.
+    """
+    for name in sorted(tensors.keys() ^ expected.keys()):
+        raise ValueError(f"{name} is {'not needed' if name in tensors else 'missing'}")
+    for name, tensor in tensors.items():
+        wanted = expected[name]
+        if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
+            raise ValueError(
+                f"{name} is {tensor.dtype} of shape {tuple(tensor.shape)} instead of {tuple(wanted.shape)}"
+            )
+        if tensor.is_floating_point() and not bool((tensor.abs() <= LARGEST_WEIGHT).all()):  # NaN compares as false
+            raise ValueError(f"{name} holds weights that are NaN, infinite or beyond {LARGEST_WEIGHT:g}")

@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from jetnormal.errors import ModelError
 
 FORMAT = "jetnormal-1"
+LARGEST_WEIGHT = 1e6  # no layer of use has a larger one, and products of a few would not be finite in float32
 
 
 def read_description(path: Path) -> dict[str, Any]:
@@ -28,12 +29,14 @@ def read_model_file(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[st
     """Read the weights of a model file and what it says of itself.
 
     Raises:
-        ModelError: the file is missing, damaged, of another program, or holds weights that are not finite.
+        ModelError: the file is missing, damaged, of another program, or holds weights that are no usable numbers.
     """
     arrays, description = _read(path, with_weights=True)
     for name, values in arrays.items():
-        if not np.isfinite(values).all():
-            raise ModelError(f"{path}: {name} is not finite; train the model again")
+        if values.dtype != np.float32:
+            raise ModelError(f"{path}: {name} is of type {values.dtype}, not float32; train the model again")
+        if not (np.abs(values) <= LARGEST_WEIGHT).all():  # NaN compares as false
+            raise ModelError(f"{path}: {name} is NaN, infinite or beyond {LARGEST_WEIGHT:g}; train the model again")
     return arrays, description
 
 

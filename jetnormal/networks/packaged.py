@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from jetnormal.errors import ModelError
@@ -33,12 +34,13 @@ def resolve(name: str | Path, others: Iterable[str] = ()) -> Path:
     Raises:
         ModelError: it is neither.
     """
-    packaged = model_directory() / f"{name}{SUFFIX}"
-    if packaged.is_file():
-        return packaged
-    path = Path(name)
-    if path.is_file():
-        return path
+    with suppress(OSError):  # such as a name too long for a file
+        packaged = model_directory() / f"{name}{SUFFIX}"
+        if packaged.is_file():
+            return packaged
+        path = Path(name)
+        if path.is_file():
+            return path
     known = [*packaged_names(), *others]
     hint = did_you_mean(str(name), known)
-    raise ModelError(f"{name}: neither a packaged model ({', '.join(known)}) nor a model file{hint}")
+    raise ModelError(f"{str(name)[:200]}: neither a packaged model ({', '.join(known)}) nor a model file{hint}")

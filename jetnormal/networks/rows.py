@@ -10,15 +10,17 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from jetnormal.support.device import worker_pool
-
 CHUNK = 4096  # rows
 CUDA_CHUNK = 65_536
 
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
-    return worker_pool(os.cpu_count())
+    return ThreadPoolExecutor(os.cpu_count(), initializer=torch.set_num_threads, initargs=(1,))
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a child does not inherit threads
 
 
 def for_rows(work: Callable[[slice], object], count: int, chunk: int = CHUNK) -> None:

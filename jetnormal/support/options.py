@@ -23,6 +23,8 @@ from jetnormal.errors import UsageError
 from jetnormal.support.suggest import did_you_mean
 
 Vector = tuple[float, float, float]
+LARGEST_INTEGER = 2**63 - 1
+MAX_THREADS = 1024  # with some tens of thousands, systems and libraries crash
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,8 @@ def check(field: Field, value: Any) -> None:
     if not any(_fits(value, part) for part in field.types):
         meant = did_you_mean(str(value), field.choices)
         raise UsageError(f"{name} is {' or '.join(filter(None, map(_described, field.types)))}, not {value!r}{meant}")
+    if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+        raise UsageError(f"{name} is a number that does not fit into 64 bits")
     if isinstance(field.note, Option) and _fits(value, float):
         low = -math.inf if field.note.low is None else field.note.low
         high = math.inf if field.note.high is None else field.note.high

@@ -3,11 +3,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import pickle
+import time
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+import jetnormal
 from jetnormal.errors import InputError, ModelError
 from jetnormal.networks.checkpoint import load_model, load_tensors, save_model, save_tensors
 from jetnormal.networks.packaged import packaged_names, resolve
@@ -181,17 +184,65 @@ def test_files_without_a_network_are_refused(tmp_path):
         lambda tensors, about: about["config"].update(width=float("inf")),
         lambda tensors, about: about["config"].update(order=7),
         lambda tensors, about: about["config"].update(neighbors=0),
+        lambda tensors, about: about["config"].update(neighbors=16.5),
+        lambda tensors, about: about["config"].update(correction="yes"),
+        lambda tensors, about: about["config"].update(width=1000),
+        lambda tensors, about: about["config"].update(weights=[["deepfit"]]),
+        lambda tensors, about: tensors.update({"weights.weight.bias": tensors["weights.weight.bias"].double()}),
+        lambda tensors, about: tensors["weights.weight.bias"].fill_(float("nan")),
+        lambda tensors, about: tensors["weights.weight.bias"].fill_(float("-inf")),
+        lambda tensors, about: tensors["weights.weight.bias"].fill_(1e30),
         lambda tensors, about: about.update(config=None),
         lambda tensors, about: about.pop("config"),
     ],
     ids=[
         "shape", "missing", "unknown", "width", "transform", "setting", "no width", "infinite width", "order",
-        "neighbors", "no settings", "no configuration",
+        "neighbors", "half a neighbor", "words", "wide", "list", "float64", "NaN", "infinite", "huge", "no settings",
+        "no configuration",
     ],
 )  # fmt: skip
 def test_weights_and_configurations_that_do_not_fit_are_refused(saved, change):
     with pytest.raises(ModelError, match=r"model\.safetensors: its configuration and its weights do not fit"):
         load_model(rewritten(saved, change))
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        {"up_layers": [10**7] * 3, "channels": [2, 2, 2], "down_layers": [1, 1, 1]},
+        {"channels": [10**9, 2, 2], "up_layers": [1, 1, 1], "down_layers": [1, 1, 1]},
+        {"channels": [2] * 10**5, "up_layers": [1] * 10**5, "down_layers": [1] * 10**5},
+        {"hidden": 10**9},
+        {"hidden": 10**30},
+        {"channels": 64},
+    ],
+)
+def test_a_small_file_with_a_huge_configuration_is_refused_before_anything_is_allocated(tmp_path, config):
+    path = tmp_path / "model.safetensors"
+    save_tensors(path, {"a": torch.zeros(1)}, {"architecture": "cloudfit", "config": config, "training": {}})
+    start = time.process_time()
+    with pytest.raises(ModelError, match="do not fit"):
+        load_model(path)
+    assert time.process_time() - start < 5
+
+
+def test_deep_json_is_refused(saved):
+    text = {"format": "jetnormal-1", "description": "[" * 200_000}
+    save_file(load_file(saved), saved, metadata=text)
+    with pytest.raises(ModelError, match="damaged"):
+        load_model(saved)
+
+
+def test_weights_that_lead_nowhere_are_the_models_fault(tmp_path):
+    """All are numbers in range, but their products are not."""
+    network = PatchFit(CONFIG)
+    with torch.no_grad():
+        for value in network.state_dict().values():
+            if value.is_floating_point():
+                value.fill_(9e5)
+    save_model(tmp_path / "a.safetensors", network, {})
+    with pytest.raises(ModelError, match="no finite normals"):
+        jetnormal.estimate(np.random.default_rng(0).normal(size=(100, 3)), model=str(tmp_path / "a.safetensors"))
 
 
 def test_a_description_that_is_no_table_is_refused(saved):

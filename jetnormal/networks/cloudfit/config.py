@@ -6,9 +6,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from jetnormal.errors import UsageError
+from jetnormal.support.options import build
+
 NODE_FEATURES = 5  # of a point: three variances, the tilt and the length of the centroid
 COARSE_NEIGHBORS = 9  # of the next level that vote for a point
 FEATURES = 12  # invariants of an edge
+MAX_CHANNELS = 4096
+MAX_LAYERS = 32
 BALLOTS = 3  # weights of a neighbor's votes: its offset, its normal, its normal mirrored
 
 
@@ -33,8 +38,13 @@ class CloudFitConfig:
     def __post_init__(self) -> None:
         if not 1 <= len(self.channels) == len(self.up_layers) == len(self.down_layers):
             raise ValueError("channels and layers must tell of the same levels, one or more")
-        if any(width < 2 or width % 2 for width in self.channels) or self.hidden < 1:
-            raise ValueError("channels are positive even numbers")
+        if any(not 2 <= width <= MAX_CHANNELS or width % 2 for width in self.channels):
+            raise ValueError(f"channels are even numbers from 2 to {MAX_CHANNELS}")
+        if not 1 <= self.hidden <= MAX_CHANNELS:
+            raise ValueError(f"hidden is 1 to {MAX_CHANNELS}, not {self.hidden}")
+        counts = (len(self.channels), *self.up_layers, *self.down_layers)
+        if not all(0 <= count <= MAX_LAYERS for count in counts):
+            raise ValueError(f"there are at most {MAX_LAYERS} levels, and layers in each")
 
     @classmethod
     def from_description(cls, fields: dict[str, Any]) -> CloudFitConfig:
@@ -43,8 +53,10 @@ class CloudFitConfig:
         Raises:
             TypeError, ValueError: a field is unknown, missing or out of range.
         """
-        values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in fields.items()}
-        return cls(**values)
+        try:
+            return build(cls, dict(fields))
+        except UsageError as error:
+            raise ValueError(str(error)) from error
 
 
 def check_shapes(config: CloudFitConfig, shapes: dict[str, tuple[int, ...]]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,6 +14,8 @@ from jetnormal.networks.patchfit.deepfit import DeepFit
 from jetnormal.networks.patchfit.graphfit import GraphFit
 from jetnormal.networks.patchfit.layers import PointLayer, full_precision
 from jetnormal.networks.patchfit.ztransform import QSTN, ZTransform, rotation_to_z
+
+MAX_WIDTH = 16  # times the published channels
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ class PatchFitConfig:
         if not 1 <= self.order <= MAX_ORDER:
             raise ValueError(f"the order of a jet is 1 to {MAX_ORDER}, not {self.order}")
         for width in (self.width, 1.0 if self.transform_width is None else self.transform_width):
-            if not (width > 0 and math.isfinite(width)):
-                raise ValueError(f"the width of a network is a positive number, not {width}")
+            if not 0 < width <= MAX_WIDTH:
+                raise ValueError(f"the width of a network is a positive number up to {MAX_WIDTH}, not {width}")
 
 
 _PAPER = {  # as published, with both of the paper's additions

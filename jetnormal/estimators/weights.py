@@ -1,0 +1,38 @@
+"""What to say of networks whose weights are numbers, but lead nowhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor
+
+from jetnormal.errors import ModelError
+
+
+@contextmanager
+def usable_weights(name: str) -> Iterator[None]:
+    """Blame the model of a name for decompositions that fail inside the block, as those of NaN do.
+
+    Raises:
+        ModelError: one has failed.
+    """
+    try:
+        yield
+    except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
+        raise _unusable(name) from error
+
+
+def check_finite(normals: Tensor, name: str) -> None:
+    """Find out whether any of the (B, 3) normals that a model predicts is finite.
+
+    Raises:
+        ModelError: there are some, and none is.
+    """
+    if len(normals) and not bool(torch.isfinite(normals).all(dim=1).any()):
+        raise _unusable(name)
+
+
+def _unusable(name: str) -> ModelError:
+    return ModelError(f"{name}: its weights lead to no finite normals; train it anew or choose another model")
