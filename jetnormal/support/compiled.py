@@ -2,20 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function of numbers and arrays; it runs without the interpreter lock.
 
-    Sums may be reordered and products fused, but NaN and infinity are respected. The machine code is kept beside
-    the module, else in the user's cache folder; where neither can be written, each process compiles anew.
+    Sums may be reordered and products fused, but NaN and infinity mean what they mean. The machine code is kept in the
+    user's cache folder (or where NUMBA_CACHE_DIR says), else beside the module: an uninstallation would leave it there.
+    Where neither can be written, each process compiles anew.
     """
     from numba import njit
 
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"}}
     try:
-        return njit(cache=True, **options)(function)
+        with _cache_folder():
+            return njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no place for its cache
         return njit(**options)(function)
+
+
+@contextmanager
+def _cache_folder() -> Iterator[None]:
+    """Have numba, which looks at its setting when a function is decorated, keep code in the user's cache folder."""
+    import numba
+
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = before or str(_user_cache() / "jetnormal" / "numba")
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+def _user_cache() -> Path:
+    """Where programs of this user keep what they can make again."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home())
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -52,12 +53,30 @@ def multiplies_bfloat16(device: str) -> bool:
     return device == "cpu" and any(capabilities.get(name) for name in ("avx512_bf16", "amx_bf16"))
 
 
+def _note_fork() -> None:
+    """In a forked child, remember how many threads PyTorch had."""
+    global _threads_before_fork
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        _threads_before_fork = torch.get_num_threads()
+
+
+_threads_before_fork: int | None = None
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_fork)
+
+
 @contextmanager
 def torch_threads(threads: int | None) -> Iterator[None]:
-    """Run PyTorch on a number of CPU threads inside the block; None leaves it alone."""
+    """Run PyTorch on a number of CPU threads inside the block; None leaves it alone.
+
+    In a forked child it runs on one: OpenMP's threads do not outlive a fork, and waiting for them would never end.
+    """
     import torch
 
     before = torch.get_num_threads()
+    if _threads_before_fork is not None:
+        threads = 1
     if threads:
         torch.set_num_threads(threads)
     try:
@@ -66,11 +85,20 @@ def torch_threads(threads: int | None) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def worker_pool(threads: int | None) -> ThreadPoolExecutor:
-    """Make a pool of threads (None: as many as PyTorch has); inside each, PyTorch runs on one thread."""
+@contextmanager
+def worker_pool(threads: int | None) -> Iterator[ThreadPoolExecutor]:
+    """As many threads, or PyTorch's number for None, in each of which PyTorch itself runs on one.
+
+    PyTorch gives threads that begin later the number that was set last, so that is restored at the end.
+    """
     import torch
 
-    return ThreadPoolExecutor(threads or torch.get_num_threads(), initializer=torch.set_num_threads, initargs=(1,))
+    count = threads or _threads_before_fork or torch.get_num_threads()
+    with (
+        torch_threads(None),
+        ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,)) as pool,
+    ):
+        yield pool
 
 
 def in_order(pool: ThreadPoolExecutor, function: Callable[[_In], _Out], arguments: Iterable[_In]) -> Iterator[_Out]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import os
 import threading
 from functools import cache
 from types import ModuleType
@@ -45,8 +46,17 @@ def _import_or_warn() -> ModuleType | None:
 
 
 def _import() -> ModuleType:
-    import open3d
-
+    """Import Open3D without its web viewer, of which it tells on stdout in a notebook."""
+    name = "OPEN3D_DISABLE_WEB_VISUALIZER"
+    before = os.environ.get(name)
+    os.environ[name] = "true"
+    try:
+        import open3d
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
     return open3d
 
 

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import builtins
+import contextlib
 import logging
+import os
 
 import pytest
 
@@ -46,3 +48,20 @@ def test_missing_libusb_is_taken_from_the_package(failing_import, monkeypatch, c
     assert [mode for _, mode in loaded] == [_open3d.ctypes.RTLD_GLOBAL]
     assert "libGL.so.1" in caplog.text  # the reason of the second try, not of the first
     assert failing_import == []
+
+
+def test_the_web_viewer_stays_off_and_the_environment_as_it_was(monkeypatch):
+    seen = []
+    real = builtins.__import__
+
+    def note(name, *arguments, **options):
+        if name == "open3d":
+            seen.append(os.environ.get("OPEN3D_DISABLE_WEB_VISUALIZER"))
+        return real(name, *arguments, **options)
+
+    monkeypatch.delenv("OPEN3D_DISABLE_WEB_VISUALIZER", raising=False)
+    monkeypatch.setattr(builtins, "__import__", note)
+    with contextlib.suppress(ImportError):
+        _open3d._import()
+    assert seen[0] == "true"
+    assert "OPEN3D_DISABLE_WEB_VISUALIZER" not in os.environ
