@@ -36,8 +36,8 @@ class NeighborIndex:
         points = _checked(points, "points")
         if len(points) == 0:
             raise ValueError("points is empty: there is nothing to search")
-        # The middle of the box, unlike the mean, does not depend on the order of the points.
-        self._center = (points.min(axis=0) + points.max(axis=0)) / 2
+        # The median, unlike the mean, does not depend on the order of the points, nor on a few that are far away.
+        self._center = np.median(points, axis=0)
         self._workers = threads or -1
         from scipy.spatial import cKDTree
 

@@ -270,9 +270,10 @@ def _principal(m: NDArray[np.float64], values: NDArray[np.float64], normal: NDAr
         half = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / (2 * p * p * p)
         values[2] = mean + 2 * p * np.cos(np.arccos(min(max(half, -1.0), 1.0)) / 3)
         # the smaller two from their sum and product: the cubic's own solution would lose half the digits
-        together = 3 * mean - values[2]
+        together = max(3 * mean - values[2], 0.0)
         determinant = m[0, 0] * (m[1, 1] * m[2, 2] - f * f) - d * (d * m[2, 2] - f * e) + e * (d * f - m[1, 1] * e)
-        product = determinant / values[2]
+        # rounding of collinear points must not look like a width: eigenvalues are not negative, and real
+        product = min(max(determinant / values[2], 0.0), together * together / 4)
         values[1] = (together + np.sqrt(max(together * together - 4 * product, 0.0))) / 2
         values[0] = product / values[1] if values[1] > 1e-200 else 0.0
     longest = 0.0

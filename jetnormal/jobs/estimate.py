@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
-from jetnormal.estimators.base import Estimator, Prediction
+from jetnormal.estimators.base import Estimator, Prediction, joined
 from jetnormal.jobs.files import check_file, check_format, read_file, write_file
 from jetnormal.jobs.options import DEFAULT_MODEL, EstimateOptions, FileOptions, NormalOptions
-from jetnormal.support.report import StageTimer, peak_memory_mb, progress
+from jetnormal.support.report import Advance, StageTimer, peak_memory_mb, progress
 
 if TYPE_CHECKING:
     from jetnormal.orientation.methods import Orientation
@@ -168,6 +168,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         InputError, UsageError: as `jetnormal.estimate`.
     """
     from jetnormal.geometry.neighbors import distinct
+    from jetnormal.geometry.scale import unit_scale
     from jetnormal.orientation.methods import choose_signs
     from jetnormal.orientation.policy import seen_from_origin, sign_method, sign_warnings
 
@@ -184,10 +185,12 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
             viewpoint = viewpoint[rows][first]
     if len(points) < 3:
         raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
-    estimator, warnings = _suited_to(len(points), estimator, options)
     with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
-        prediction = estimator(points, advance=advance)
+        prediction, name, warnings = _predict(points, estimator, options, advance)
     with timer.stage("orient"):
+        points, exponent = unit_scale(points)
+        if viewpoint is not None:
+            viewpoint = np.clip(np.ldexp(viewpoint, exponent), -MAX_COORDINATE, MAX_COORDINATE)
         orientation = choose_signs(points, prediction.normals, method, viewpoint=viewpoint)
         from_origin = seen_from_origin(orientation, points, options, cloud)
     orientation = from_origin or orientation
@@ -207,7 +210,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         spread(prediction.confidence),
         None if curvatures is None else spread(curvatures),
         spread(orientation.confidence),
-        estimator.name,
+        name,
         method,
         tuple(warnings),
         {stage: timer.seconds[stage] for stage in ("clean", "estimate", "orient")},
@@ -251,6 +254,42 @@ def _resources(options: NormalOptions) -> dict[str, Any]:
     return {"batch_size": options.batch_size, "device": options.device, "threads": options.threads}
 
 
+def _predict(
+    points: NDArray[np.float64], estimator: Estimator, options: NormalOptions, advance: Advance
+) -> tuple[Prediction, str, list[str]]:
+    """What an estimator says of a cloud part by part, the name of the one that looked at most of it, and warnings."""
+    from jetnormal.geometry.parts import far_apart
+    from jetnormal.geometry.scale import unit_scale
+
+    parts = far_apart(points)
+    predictions: list[Prediction] = []
+    names: list[str] = []
+    warnings: list[str] = []
+    for rows in parts:
+        if len(rows) < 3:
+            predictions.append(_nothing(len(rows)))
+            continue
+        suited, said = _suited_to(len(rows), estimator, options)
+        scaled, exponent = unit_scale(points[rows])
+        found = suited(scaled, advance=advance)
+        if found.curvatures is not None:
+            with np.errstate(over="ignore"):  # parts of less than 1e-38 have curvatures beyond float32
+                found = replace(found, curvatures=np.ldexp(found.curvatures, exponent))
+        predictions.append(found)
+        names.append(suited.name)
+        warnings += said
+    if not estimator.has_curvature:
+        predictions = [replace(found, curvatures=None) for found in predictions]
+    together = joined(predictions)[np.argsort(np.concatenate(parts))]
+    return together, (names or [estimator.name])[0], list(dict.fromkeys(warnings))
+
+
+def _nothing(count: int) -> Prediction:
+    """What can be said of so few points that they span no plane."""
+    unknown = np.full((count, 3), np.nan, dtype=np.float32)
+    return Prediction(unknown, unknown, np.zeros(count, np.float32), unknown[:, :2])
+
+
 def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tuple[Estimator, list[str]]:
     """The estimator for a cloud of so many points, and what to say if it is not quite the one asked for."""
     from jetnormal.estimators.factory import make_estimator
@@ -266,11 +305,12 @@ def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tupl
 
 def _curvatures(prediction: Prediction, orientation: Orientation) -> NDArray[np.float32] | None:
     """Principal curvatures (N, 2), the larger first, by the normals with their final signs."""
-    if prediction.curvatures is None:
+    curvatures = prediction.curvatures
+    if curvatures is None:
         return None
     # a normal that was turned round sees every bend from the other side
     turned = (orientation.normals * prediction.normals).sum(axis=1) < 0
-    return np.where(turned[:, None], -prediction.curvatures[:, ::-1], prediction.curvatures)
+    return np.where(turned[:, None], -curvatures[:, ::-1], curvatures)
 
 
 def _gaps(non_finite: int, degenerate: int) -> list[str]:
@@ -278,5 +318,7 @@ def _gaps(non_finite: int, degenerate: int) -> list[str]:
     if non_finite:
         warnings.append(f"{non_finite} points have no finite coordinates; their normals are NaN")
     if degenerate:
-        warnings.append(f"{degenerate} points have collinear neighbors, which span no plane; their normals are NaN")
+        warnings.append(
+            f"{degenerate} points are alone or have collinear neighbors, which span no plane; their normals are NaN"
+        )
     return warnings

@@ -83,3 +83,11 @@ def test_k_out_of_range_is_refused(k):
 def test_unusable_points_are_refused(points, message):
     with pytest.raises(ValueError, match=message):
         NeighborIndex(points)
+
+
+def test_a_point_far_away_takes_no_digit_from_the_others():
+    points = np.random.default_rng(0).random((300, 3))
+    with_outlier = np.concatenate([points, [[1e140, 0, 0]]])
+    expected, _ = NeighborIndex(points).query(points, 8)
+    found, _ = NeighborIndex(with_outlier).query(points, 8)
+    assert np.array_equal(found, expected)

@@ -157,3 +157,9 @@ def test_normals_and_variances_are_those_of_the_covariance():
         values, vectors = np.linalg.eigh(np.cov(patch.T, bias=True))
         np.testing.assert_allclose(level.variance[i], values / values.sum(), atol=1e-6)
         assert abs(vectors[:, 0] @ level.normals[i]) == pytest.approx(1, abs=1e-5)
+
+
+def test_rounding_gives_collinear_points_no_width():
+    points = np.random.default_rng(0).random(200)[:, None] * [0.1, 0.7, 0.3] + [5, 6, 7]
+    for level in build_pyramid(points, 3).levels:
+        assert (level.variance[:, 1] <= 1e-14 * level.variance[:, 2]).all()

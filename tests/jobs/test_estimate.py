@@ -197,3 +197,32 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
     for name in ("a.ply", "b.ply"):
         estimate_file(tmp_path / "in.ply", tmp_path / name, EstimateOptions(model="jet", confidence=True))
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.parametrize("model", ["cloudfit", "jet"])
+@pytest.mark.parametrize("size", [1e-100, 1e-45, 1e39, 1e149])
+def test_the_size_of_a_cloud_does_not_matter(model, size):
+    points = sphere(300)
+    exact = 2.0 ** round(np.log2(size))
+    assert np.array_equal(estimate(points * exact, model=model), estimate(points, model=model))
+
+
+@pytest.mark.parametrize("model", ["cloudfit", "jet"])
+def test_an_outlier_far_away_harms_no_other_point(model):
+    points = sphere(300)
+    normals = estimate(np.concatenate([points, [[1e140, 0, 0]]]), model=model)[:-1]
+    assert np.isfinite(normals).all()
+    assert np.sqrt(np.mean(np.square(angles(normals, points)))) < 6
+
+
+@pytest.mark.parametrize("model", ["cloudfit", "jet", "pca", "deepfit-small"])
+def test_points_of_a_line_have_no_normal_whatever_the_model(model):
+    points = np.random.default_rng(0).random(200)[:, None] * [0.1, 0.7, 0.3] + [5, 6, 7]
+    assert np.isnan(estimate(points, model=model)).all()
+
+
+def test_curvatures_are_in_the_unit_of_the_cloud():
+    sizes = [2.0**-60, 1.0, 2.0**20]
+    clouds = [estimate(Cloud(sphere(300) * size), model="jet", curvature=True) for size in sizes]
+    small, normal, large = (np.median(cloud.attributes["curvature"]) for cloud in clouds)
+    assert normal == small / 2.0**60 == large * 2.0**20
