@@ -63,8 +63,8 @@ def describe(
 
     \b
     Exit codes:
-      0 done, 2 wrong usage, 3 unusable file, 4 unusable model,
-      5 not enough memory or no such device, 130 interrupted
+      0 done, 1 closed pipe or an error to report, 2 wrong usage, 3 unusable file,
+      4 unusable model, 5 not enough memory or no such device, 130 interrupted
     """
 
 
@@ -76,6 +76,7 @@ def main() -> None:
         code = app(prog_name="jetnormal", standalone_mode=False) or 0  # of closed pipes (1), it exits in here
         if code == INTERRUPTED:
             report_json("interrupted", code)
+        sys.stdout.flush()  # a full disk behind stdout shows here, where it can be handled
         sys.exit(code)
     except Exception as error:
         sys.exit(report_failure(error))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -146,7 +147,7 @@ def check_mesh(mesh: Path, output: Path, orient: str, force: bool) -> None:
     """
     from jetnormal.formats.meshes import check_mesh_target
 
-    if mesh.resolve() == output.resolve():
+    if os.path.realpath(mesh) == os.path.realpath(output):  # Path.resolve fails on a loop of links
         raise UsageError(f"{mesh}: the mesh would overwrite the cloud; give it a name of its own")
     if orient == "none":
         raise UsageError("a mesh needs to know outside from inside: leave `orient=none` out")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import sys
 import traceback
 from contextlib import suppress
 
-from jetnormal.errors import JetnormalError, ResourceError
+from jetnormal.errors import InputError, JetnormalError, ResourceError
 from jetnormal.support.report import logger, print_json
 
+_OUT_OF_MEMORY = ("can't allocate memory", "not enough memory", "can't start new thread", "bad_alloc")
 FLAGS = {"overwrite": "--force"}  # that are called otherwise than the option of the library
 
 
@@ -36,15 +38,24 @@ def report_failure(error: Exception) -> int:
         message, code = error.format_message(), error.exit_code  # type: ignore[attr-defined]
         report_json(message, code)
         return int(code)
+    if isinstance(error, BrokenPipeError):  # nobody reads on, as behind `| head`
+        _silence_stdout()
+        return JetnormalError.exit_code
     if verbose:
         traceback.print_exception(error)
     if isinstance(error, JetnormalError):
         message, code = str(error), error.exit_code
-    elif isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":  # PyTorch's, on a GPU
+    elif _is_out_of_memory(error):
         message, code = "out of memory: try a smaller `batch_size` or fewer points", ResourceError.exit_code
+    elif isinstance(error, OSError) and error.filename is None:  # no file of ours, which raise errors of their own
+        _silence_stdout()
+        message = f"the output cannot be written ({error.strerror or error}); free some space or choose another output"
+        code = InputError.exit_code
     else:
-        hint = "" if verbose else " (run again with -v for the traceback)"
-        message, code = f"{type(error).__name__}: {error}{hint}", JetnormalError.exit_code
+        found = f"{type(error).__name__}: {str(error)[:500]}"
+        hint = "the traceback above" if verbose else "the traceback that -v prints"
+        message = f"{found}; this should not happen: please report it, with the command and {hint}"
+        code = JetnormalError.exit_code
     message = spell(" ".join(message.split()))
     with suppress(OSError):  # behind stderr may be a full disk; the exit code still tells
         sys.stderr.write(f"jetnormal: error: {message}\n")
@@ -57,3 +68,16 @@ def report_json(message: str, code: int) -> None:
     if "--json" in sys.argv[1:]:
         with suppress(OSError):
             print_json({"error": message, "code": code})
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """PyTorch has an error of its own for a GPU, and none for a CPU."""
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return True
+    return isinstance(error, RuntimeError) and any(words in str(error) for words in _OUT_OF_MEMORY)
+
+
+def _silence_stdout() -> None:
+    """Send what is left in the buffer of stdout nowhere: Python would fail on it once more at its end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -7,10 +7,13 @@ from typing import Annotated
 import typer
 
 from jetnormal.errors import UsageError
+from jetnormal.support.options import MAX_THREADS
 from jetnormal.support.report import configure_logging
 
 Device = Annotated[str, typer.Option(metavar="auto|cpu|cuda[:N]", help="Where the network runs.")]
-Threads = Annotated[int | None, typer.Option(min=1, metavar="T", help="CPU threads.", show_default="all cores")]
+Threads = Annotated[
+    int | None, typer.Option(min=1, max=MAX_THREADS, metavar="T", help="CPU threads.", show_default="all cores")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show errors only.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show debug messages, and tracebacks of errors.")]

@@ -242,7 +242,7 @@ class _Trial:
         if self.store is None:
             return self._estimate(cloud, orient, advance)
         path = self.store.path(cloud.name, self.facts | {"cloud": digest(*cloud.files)})
-        estimate = self.store.load(path)
+        estimate = self.store.load(path, len(cloud.queries))
         if estimate:
             advance(estimate.points)
             return estimate

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal._version import __version__
-from jetnormal.errors import InputError
+from jetnormal.errors import InputError, ResourceError
 from jetnormal.formats.atomic import atomic_write
+from jetnormal.formats.npz import load_arrays
 from jetnormal.support.report import logger
 
 
@@ -61,15 +61,17 @@ class ResultStore:
         model = re.sub(r"[^\w.,=-]+", "_", facts["model"])[-60:]
         return self._folder / f"{cloud}.{model}.{hashlib.sha256(text.encode()).hexdigest()[:16]}.npz"
 
-    def load(self, path: Path) -> Estimate | None:
-        """What `save` wrote there; None if it did not, or something damaged it since."""
+    def load(self, path: Path, count: int) -> Estimate | None:
+        """What `save` wrote there of `count` points; None if it did not, or something damaged it since."""
         if not path.is_file():
             return None
         try:
-            with np.load(path) as arrays:
-                return Estimate(arrays["normals"], int(arrays["points"]), float(arrays["seconds"]))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            logger.warning("%s: damaged (%s); estimating anew", path, error)
+            normals, points, seconds = load_arrays(path, "normals", "points", "seconds")
+            if normals.shape != (count, 3) or normals.dtype != np.float32 or points.shape or seconds.shape:
+                raise InputError(f"{path}: holds no estimate of {count} points")
+            return Estimate(normals, int(points), float(seconds))
+        except (InputError, ResourceError, TypeError, ValueError, OverflowError) as error:
+            logger.warning("damaged: %s; estimating anew", error)
             return None
 
     def save(self, path: Path, estimate: Estimate) -> None:

@@ -7,6 +7,7 @@ never a crash, which Open3D's readers cannot say.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -167,10 +168,13 @@ def _read_gltf(path: Path) -> Mesh:
     from trimesh.resolvers import FilePathResolver
     from trimesh.scene.transforms import SceneGraph
 
-    _check_accessors(path)
-    load = load_glb if path.suffix.lower() == ".glb" else load_gltf
-    with path.open("rb") as stream:
-        found = load(stream, resolver=FilePathResolver(str(path)), skip_materials=True)
+    content = path.read_bytes()
+    binary = path.suffix.lower() == ".glb"
+    end = _GLB_HEADER + int.from_bytes(content[12:16], "little")
+    _check_accessors(content[_GLB_HEADER:end] if binary else content, path)
+    load = load_glb if binary else load_gltf
+    # from memory: of a file, Python would allocate as much as the header says that there is
+    found = load(io.BytesIO(content), resolver=FilePathResolver(str(path)), skip_materials=True)
     graph = SceneGraph(base_frame=found.get("base_frame", "world"))
     for edge in found["graph"]:
         graph.update(**edge)
@@ -183,11 +187,8 @@ def _read_gltf(path: Path) -> Mesh:
     return joined if joined.colors is None else Mesh(joined.vertices, joined.faces, to_screen(joined.colors))
 
 
-def _check_accessors(path: Path) -> None:
+def _check_accessors(text: bytes, path: Path) -> None:
     """Refuse arrays that have a length but no content: zeros of any amount, which no mesh of use has."""
-    with path.open("rb") as stream:
-        head = stream.read(_GLB_HEADER) if path.suffix.lower() == ".glb" else b""
-        text = stream.read(int.from_bytes(head[12:16], "little") if head else -1)
     for accessor in json.loads(text).get("accessors", []):
         if "bufferView" not in accessor:
             raise InputError(f"{path}: an array of it has no content (sparse or compressed glTF is not read)")

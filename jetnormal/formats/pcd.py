@@ -158,7 +158,7 @@ def _read_compressed(stream: BinaryIO, header: _Header, size: int, path: Path) -
     expected = header.points * header.dtype.itemsize
     _check_size(header, 8 + expected // lzf.MAX_RATIO, size, path)
     packed_size, unpacked_size = struct.unpack("<II", stream.read(8))
-    packed = stream.read(packed_size)
+    packed = stream.read(min(packed_size, size))
     if unpacked_size != expected or len(packed) != packed_size:
         raise InputError(
             f"{path}: {header.points} points need {expected} bytes, but {len(packed)} of {packed_size} "

@@ -10,7 +10,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Annotated, Any, Literal
 
 from jetnormal.errors import UsageError
-from jetnormal.support.options import Option, OptionSet, Vector
+from jetnormal.support.options import MAX_THREADS, Option, OptionSet, Vector
 
 DEFAULT_MODEL = "cloudfit"
 DEPTHS = (4, 12)  # of the octree: 16 to 4096 cells along a side
@@ -94,7 +94,7 @@ class NormalOptions(OptionSet):
         "auto"
     )
     threads: Annotated[
-        int | None, Option("CPU threads.", low=1, metavar="T", default="all cores", group="Resources")
+        int | None, Option("CPU threads.", low=1, high=MAX_THREADS, metavar="T", default="all cores", group="Resources")
     ] = None
     batch_size: Annotated[
         int | None, Option("Patches at a time.", low=1, metavar="B", default="fits memory", group="Resources")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -63,15 +64,13 @@ def encode_page(scene: Scene, title: str, view: str, background: str) -> bytes:
     }
     red, green, blue = (round(255 * value) for value in BACKGROUNDS[background])
     fields = {
-        "title": html.escape(title),
+        "title": html.escape(title.encode("utf-8", "replace").decode()),  # names of files may be no text
         "background": f"rgb({red}, {green}, {blue})",
         "meta": json.dumps(meta).replace("</", "<\\/"),
         "data": base64.b64encode(b"".join(part.tobytes() for part in parts)).decode(),
     }
     page = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-    for name, value in fields.items():
-        page = page.replace("{{" + name + "}}", value)
-    return page.encode()
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: fields[found[1]], page).encode()  # at once: a title may hold {{data}}
 
 
 def encode_octahedral(normals: NDArray[np.float64]) -> NDArray[np.int8]:

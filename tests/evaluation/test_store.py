@@ -107,10 +107,10 @@ def test_estimates_come_back_as_they_were(tmp_path):
     store = ResultStore(tmp_path / "new" / "folder")
     path = store.path("cloud_1.20e-02", {"model": "runs/a b/model.safetensors", "k": 3})
     assert path.parent == tmp_path / "new" / "folder"
-    assert store.load(path) is None
+    assert store.load(path, 2) is None
     normals = np.array([[0.6, 0, 0.8], [np.nan] * 3], np.float32)
     store.save(path, Estimate(normals, 7, 1 / 3))
-    kept = store.load(path)
+    kept = store.load(path, 2)
     np.testing.assert_array_equal(kept.normals, normals)
     assert kept.normals.dtype == np.float32
     assert (kept.points, kept.seconds) == (7, 1 / 3)
