@@ -4,6 +4,9 @@
 # make lint     style, format, direction of imports, types
 # make format   mend style and format
 # make docs     build the documentation in site/ and check its links
+# make fuzz     damaged files for every reader, for SECONDS (600); prints a table
+# make torture  commands that are killed at KILLS (50) random moments each, or have no disk
+# make hostile  clouds that are hard on an estimator: errors and signs by model
 # make setup    only the virtual environment .venv, which all of the above make on their own
 #
 # make demo PYTHON=python3.12      another Python (3.10 or newer)
@@ -13,11 +16,13 @@
 
 PYTHON ?= python3
 TORCH_INDEX ?=
+SECONDS ?= 600
+KILLS ?= 50
 
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: browser demo docs format lint quick setup test
+.PHONY: browser demo docs format fuzz hostile lint quick setup test torture
 
 demo: $(STAMP)
 	@mkdir -p demo
@@ -44,6 +49,15 @@ format: $(STAMP)
 
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+fuzz: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m robustness.fuzz --seconds $(SECONDS)
+
+torture: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m robustness.torture --kills $(KILLS)
+
+hostile: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m robustness.hostile
 
 # The page that `preview --html` writes is tested in Chromium. Without it those tests are skipped.
 browser:

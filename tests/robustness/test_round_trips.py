@@ -1,0 +1,83 @@
+"""Any cloud, written in any format and encoding and read again, is the same cloud, or a warning named the loss."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import hypothesis.extra.numpy as hnp
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from jetnormal import formats
+from jetnormal.cloud import Cloud, Source
+from jetnormal.formats.meshes import read_mesh, write_mesh
+from jetnormal.mesh import Mesh
+
+SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".asc", ".csv", ".pts", ".npy", ".npz")
+CASES = [(suffix, encoding) for suffix in SUFFIXES for encoding in formats.find_format(Path(f"a{suffix}")).encodings]
+TYPES = ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "f4", "f8"]
+NAMES = st.one_of(
+    st.sampled_from(["red", "intensity", "label", "curvature", "scalar_A", "time", "a,b", "7", "x_2", "ü"]),
+    st.text("abcXYZ019_ ,;\"'#%", min_size=1, max_size=6),
+).filter(lambda name: name.strip().lower() not in RESERVED)
+# What means coordinates, normals or packed colors is not a free name.
+RESERVED = {"x", "y", "z", "nx", "ny", "nz", "rgb", "rgba", "id", "file", "points", "normals"}
+
+
+@st.composite
+def clouds(draw: st.DrawFn) -> Cloud:
+    count = draw(st.integers(1, 5))
+    kind = draw(st.sampled_from(["f4", "f8"]))
+    finite = {"allow_nan": draw(st.booleans()), "allow_infinity": False, "width": 8 * int(kind[1])}
+    points = draw(hnp.arrays(kind, (count, 3), elements=st.floats(**finite)))
+    normals = draw(st.none() | hnp.arrays("f4", (count, 3), elements=st.floats(-1, 1, width=32)))
+    names = draw(st.lists(NAMES, max_size=3, unique_by=lambda name: "_".join(name.split()).lower()))
+    attributes = {name: draw(hnp.arrays(draw(st.sampled_from(TYPES)), count)) for name in names}
+    source = Source(point_dtype=np.dtype(kind))
+    return Cloud(points, normals, attributes, source)
+
+
+@pytest.mark.parametrize(("suffix", "encoding"), CASES)
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cloud=clouds())
+def test_a_cloud_comes_back(tmp_path_factory, suffix, encoding, cloud):
+    path = tmp_path_factory.mktemp("round") / f"a{suffix}"
+    warnings = formats.write(cloud, path, encoding=encoding)
+    back = formats.read(path)
+    assert len(back) == len(cloud)
+    assert np.array_equal(back.points, cloud.points, equal_nan=True)
+    if cloud.normals is not None:
+        assert np.array_equal(back.normals, cloud.normals.astype(np.float32), equal_nan=True)
+    for name, values in cloud.attributes.items():
+        told = [warning for warning in warnings if repr(name) in warning]
+        if not told:
+            assert name in back.attributes, (list(back.attributes), warnings)
+            assert np.array_equal(back.attributes[name], values, equal_nan=values.dtype.kind == "f"), warnings
+
+
+@st.composite
+def meshes(draw: st.DrawFn) -> Mesh:
+    count = draw(st.integers(3, 6))
+    coordinates = st.floats(-1e6, 1e6, width=32, allow_subnormal=False)
+    vertices = draw(hnp.arrays("f8", (count, 3), elements=coordinates, unique=True))
+    corners = st.permutations(range(count)).map(lambda order: order[:3])
+    faces = draw(st.lists(corners, min_size=1, max_size=6))
+    colors = draw(st.none() | hnp.arrays("u1", (count, 3)))
+    return Mesh(vertices, np.array(faces), None if colors is None else colors / 255)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".glb", ".stl"])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(mesh=meshes())
+def test_a_mesh_comes_back(tmp_path_factory, suffix, mesh):
+    path = tmp_path_factory.mktemp("round") / f"a{suffix}"
+    warnings = write_mesh(mesh, path)
+    back = read_mesh(path)
+    size = np.ptp(mesh.vertices, axis=0).max()
+    assert np.abs(back.vertices[back.faces] - mesh.vertices[mesh.faces]).max() <= 1e-6 * size
+    if mesh.colors is not None:
+        assert (back.colors is None) == any("no colors" in warning for warning in warnings)
+        if back.colors is not None:
+            assert np.abs(back.colors[back.faces] - mesh.colors[mesh.faces]).max() < 0.003
