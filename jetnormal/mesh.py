@@ -28,12 +28,12 @@ class Mesh:
         return f"<Mesh: {len(self.vertices):,} vertices, {len(self.faces):,} faces{colors}>"
 
     def area_vectors(self) -> NDArray[np.float64]:
-        """(F, 3) float64: along each face's normal, as long as its area."""
+        """Compute a vector (F, 3) for each face: along its normal, as long as its area."""
         corners = self.vertices[self.faces]
         return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
 
     def vertex_normals(self) -> NDArray[np.float64]:
-        """(V, 3) float64 unit vectors: the mean of the faces around, weighted by area; zero where it vanishes."""
+        """Compute unit normals (V, 3): the mean over the faces around, weighted by area; zero where it vanishes."""
         area = self.area_vectors()
         normals = np.stack([_sum_at(self.faces, area[:, axis], len(self.vertices)) for axis in range(3)], axis=1)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -41,5 +41,5 @@ class Mesh:
 
 
 def _sum_at(faces: NDArray[np.int64], values: NDArray[np.float64], count: int) -> NDArray[Any]:
-    """For each of `count` vertices, the sum of the values (F,) of its faces."""
+    """Sum the values (F,) of the faces around each of `count` vertices."""
     return np.bincount(faces.ravel(), np.repeat(values, 3), count)

@@ -1,4 +1,4 @@
-"""What scanners do to clean points: noise, uneven density and missing regions.
+"""Corruption of clean points: noise, uneven density and missing regions.
 
 The levels and the density patterns are those of the PCPNet data set (Guerrero et al., "PCPNet: Learning
 Local Shape Properties from Raw Point Clouds", Eurographics 2018).
@@ -81,7 +81,7 @@ def add_noise(
     rng: np.random.Generator,
     kind: Literal["gaussian", "uniform"] = "gaussian",
 ) -> NDArray[np.float64]:
-    """Displaces each coordinate independently.
+    """Displace each coordinate independently.
 
     Args:
         points: (N, 3) float64.
@@ -102,7 +102,7 @@ def add_noise(
 def thin(
     points: NDArray[np.float64], kind: Literal["gradient", "striped"], count: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Indices of `count` of the points, kept with a density that varies along a random coordinate axis.
+    """Choose `count` of the points, with a density that varies along a random coordinate axis; return indices.
 
     Args:
         points: (N, 3) float64, of even density. The pattern is pronounced when N is a few times `count`.
@@ -123,7 +123,7 @@ def thin(
 
 
 def punch_holes(points: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of the points that remain when one to five balls around random points are cut out.
+    """Cut out one to five balls around random points; return the indices of the points that remain.
 
     The balls' radii are 3 to 10 % of the bounding box's diagonal, as where a scanner saw nothing. At least
     half of the points remain.

@@ -117,7 +117,7 @@ def _encloses_negative_volume(corners: NDArray[np.float64], doubled: NDArray[np.
 
 
 def _unit(vectors: NDArray[np.float64], otherwise: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-    """Vectors (..., 3) at length one; `otherwise` takes the place of those that have no direction."""
+    """Scale vectors (..., 3) to length one; those without a direction become `otherwise`."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     directed = length > 1e-30
     return np.where(directed, vectors / np.where(directed, length, 1.0), otherwise)

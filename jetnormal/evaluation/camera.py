@@ -1,4 +1,4 @@
-"""Views of a cloud for heatmaps: each pixel knows the point that it shows, so that colors can change at no cost."""
+"""Views of a cloud for heatmaps. Each pixel knows the point that it shows, so one view serves for many colorings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRIAL_CELLS = 40  # on a grid of so many cells
 
 
 class Camera:
-    """An orthographic view of a shape from where much of it is seen, with y up, as statues are in PCPNet.
+    """An orthographic view of a shape from a side that shows much of it; y is up, as in PCPNet.
 
     Attributes:
         axes: (3, 3) rows: right, up and towards the camera.
@@ -38,7 +38,7 @@ class Camera:
         self._radius = max(1, round(DISK * _spacing(points) * self._scale))
 
     def render(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Index of the point (N, 3) seen in each pixel, or -1: every point is a disk, and the nearest one wins."""
+        """Find the point (N, 3) seen in each pixel, or -1: every point is a disk, and the nearest one wins."""
         seen = points @ self.axes.T
         far_to_near = np.argsort(seen[:, 2], kind="stable")
         places = (seen[far_to_near, :2] - self._middle) * self._scale * [1, -1] + self._size / 2
@@ -63,7 +63,7 @@ def paint(index: NDArray[np.int64], colors: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _axes(azimuth: float, elevation: float) -> NDArray[np.float64]:
-    """Rows right, up and towards for a camera in a direction given in radians; azimuth 0 looks along -z."""
+    """Return the axes right, up and towards the camera as rows; angles are in radians, azimuth 0 looks along -z."""
     right = np.array([np.cos(azimuth), 0.0, -np.sin(azimuth)])
     level = np.array([np.sin(azimuth), 0.0, np.cos(azimuth)])
     towards = np.cos(elevation) * level + np.array([0.0, np.sin(elevation), 0.0])
@@ -89,11 +89,11 @@ def _interest(seen: NDArray[np.float64], normals: NDArray[np.float64]) -> float:
 
 
 def _span(seen: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Width and height (2,) of points (N, 3) in the camera's axes, not zero."""
+    """Measure the width and height (2,) of points (N, 3) along the camera's axes; never zero."""
     return np.maximum(np.ptp(seen[:, :2], axis=0), 1e-9 * max(1e-300, float(np.abs(seen).max())))
 
 
 def _spacing(points: NDArray[np.float64]) -> float:
-    """Median distance to the fourth neighbor, of a sample."""
+    """Measure the median distance to the fourth neighbor, on a sample."""
     sample = points[:: max(1, len(points) // 2000)]
     return float(np.median(NeighborIndex(points).query(sample, min(5, len(points)))[1][:, -1]))

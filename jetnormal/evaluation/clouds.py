@@ -1,4 +1,4 @@
-"""A cloud of a benchmark as an evaluation needs it."""
+"""A cloud of a benchmark, with its true normals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What networks cost: parameters, bytes, operations, time; of model files and of the configurations of the paper."""
+"""The cost of networks (parameters, bytes, operations, time): of model files and of the paper's configurations."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _STATISTICS = ("running_mean", "running_var", "num_batches_tracked")  # tensors 
 
 @dataclass(frozen=True)
 class Complexity:
-    """What a network costs.
+    """The cost of a network.
 
     Attributes:
         name: of the model, or of the configuration.
@@ -50,7 +50,7 @@ class Complexity:
 
 
 def of_model(name: str, *, measure: bool = False, device: str = "auto", threads: int | None = None) -> Complexity:
-    """The complexity of a packaged model or a model file.
+    """Measure the complexity of a packaged model or a model file.
 
     Raises:
         ModelError: there is no such model, or its file is damaged.
@@ -71,12 +71,12 @@ def of_model(name: str, *, measure: bool = False, device: str = "auto", threads:
 
 
 def of_packaged(*, measure: bool = False, device: str = "auto", threads: int | None = None) -> list[Complexity]:
-    """The complexity of every packaged model."""
+    """Measure the complexity of every packaged model."""
     return [of_model(name, measure=measure, device=device, threads=threads) for name in packaged_names()]
 
 
 def of_paper(*, measure: bool = False, device: str = "auto", threads: int | None = None) -> list[Complexity]:
-    """The paper's table of complexities: three baselines, and the same with its two additions, with random weights.
+    """Measure the paper's table of complexities: three baselines, and the same with both additions; random weights.
 
     Raises:
         ResourceError: the device is not there.
@@ -86,7 +86,7 @@ def of_paper(*, measure: bool = False, device: str = "auto", threads: int | None
 
 
 def paper_configurations() -> Iterator[tuple[str, PatchFitConfig]]:
-    """Names and configurations of the paper's six networks, baselines first."""
+    """List names and configurations of the paper's six networks, baselines first."""
     for weights, config in CONFIGS["paper"].items():
         yield TITLES[weights], replace(config, transform="qstn", correction=False)
     for weights, config in CONFIGS["paper"].items():
@@ -109,7 +109,7 @@ def _in_words(architecture: str, config: dict[str, Any]) -> str:
 
 
 def describe(config: PatchFitConfig) -> str:
-    """A configuration in words."""
+    """Describe a configuration in words."""
     parts = [TITLES[config.weights]]
     parts += ["z-transform"] if config.transform == "ztransform" else []
     parts += ["correction"] if config.correction else []
@@ -129,7 +129,7 @@ def ms_per_point(estimator: Estimator) -> float:
 
 
 def _solid(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Points of a procedural solid with a little noise."""
+    """Sample a procedural solid with a little noise."""
     from jetnormal.data.corruption import add_noise
     from jetnormal.data.solids.recipes import random_solid
 

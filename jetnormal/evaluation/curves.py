@@ -1,4 +1,4 @@
-"""Curves of an evaluation: shares of good points, and what the learned transform does to the z angle."""
+"""Curves of an evaluation: the share of good points, and the angle to the z axis before and after the transform."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Z_LEAST = 30  # points that a bin must hold to be drawn
 
 
 def draw_good_points(evaluation: Evaluation) -> Figure:
-    """The share of points whose error is below a threshold, over the threshold; a panel per category."""
+    """Draw the share of points with an error below a threshold, over the threshold; a panel for each category."""
     categories = list(evaluation.models[0].categories)
     columns = min(3, len(categories))
     rows = -(-len(categories) // columns)
@@ -55,7 +55,7 @@ def draw_good_points(evaluation: Evaluation) -> Figure:
 
 
 def draw_z_angles(evaluation: Evaluation) -> Figure | None:
-    """The error over the z angle, and the distribution of the z angle; None without a learned transform."""
+    """Draw the error over the z angle, and the distribution of the z angle; None without a learned transform."""
     networks = [model for model in evaluation.models if any(one.z_angles for one in model.clouds.values())]
     if not networks:
         return None
@@ -89,12 +89,12 @@ def draw_z_angles(evaluation: Evaluation) -> Figure | None:
 
 
 def short(name: str) -> str:
-    """The name of a model, of a long path the end."""
+    """Shorten the name of a model: of a long path, keep the end."""
     return name if len(name) <= LONGEST_NAME else "…" + name[1 - LONGEST_NAME :]
 
 
 def _z_angles(model: ModelResult) -> NDArray[np.float32]:
-    """z angles before and after the transform and errors of all points measured, (3, S)."""
+    """Collect the z angles before and after the transform, and the errors, of all measured points: (3, S)."""
     found = [
         (one.z_angles.before, one.z_angles.after, one.errors[one.z_angles.rows])
         for one in model.clouds.values()
@@ -104,7 +104,7 @@ def _z_angles(model: ModelResult) -> NDArray[np.float32]:
 
 
 def _draw_errors(panel: Any, angles: NDArray[np.float32], errors: NDArray[np.float32], label: str, color: str) -> None:
-    """Mean and quartiles of the error in each bin of the angle that holds enough points."""
+    """Draw mean and quartiles of the error in each bin of the angle that holds enough points."""
     bins = (angles // Z_BIN).astype(int)
     used = [bin for bin in range(int(Z_LIMIT // Z_BIN)) if (bins == bin).sum() >= Z_LEAST]
     centres = Z_BIN * (np.array(used) + 0.5)
@@ -115,14 +115,14 @@ def _draw_errors(panel: Any, angles: NDArray[np.float32], errors: NDArray[np.flo
 
 
 def _draw_density(panel: Any, angles: NDArray[np.float32], label: str, color: str, style: str) -> None:
-    """Share of points by angle; the legend tells the share of large angles."""
+    """Draw the share of points by angle; the legend tells the share of large angles."""
     counts, edges = np.histogram(angles, bins=np.arange(0, Z_LIMIT + Z_STEP, Z_STEP))
     label += f"  ({100 * np.mean(angles >= LARGE_ANGLE):.0f} % beyond {LARGE_ANGLE:.0f}°)"
     panel.stairs(counts / len(angles) / Z_STEP, edges, color=color, linestyle=style, linewidth=1.5, label=label)
 
 
 def _plain(panel: Any) -> None:
-    """A light grid and no box."""
+    """Give the axes a light grid and no box."""
     panel.grid(color="0.9", linewidth=0.8)
     panel.set_axisbelow(True)
     panel.spines[["top", "right"]].set_visible(False)

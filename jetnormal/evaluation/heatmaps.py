@@ -25,7 +25,7 @@ LEFT, RIGHT, TOP, BOTTOM, GAP = 0.35, 0.75, 0.75, 0.1, 0.25  # inches around and
 
 
 def draw_heatmaps(evaluation: Evaluation, shape: str, names: Sequence[str]) -> Figure:
-    """The clouds of a shape: a column for each, a row for each model, the RMSE below.
+    """Draw the clouds of a shape: a column for each, a row for each model, the RMSE below.
 
     The camera is the same for all. Points that were not evaluated take the color of the nearest one that was.
 
@@ -63,20 +63,20 @@ def draw_heatmaps(evaluation: Evaluation, shape: str, names: Sequence[str]) -> F
 
 
 def _nearest_evaluated(cloud: BenchmarkCloud) -> NDArray[np.int64]:
-    """For each point (N,), the place of the nearest evaluated one among those."""
+    """Find for each point (N,) the nearest evaluated point, as its place among those."""
     nearest, _ = NeighborIndex(cloud.points[cloud.queries]).query(cloud.points, 1)
     return nearest[:, 0]
 
 
 def _lit(colors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Colors (N, 3) with so much light and gloss on surfaces with these normals (N, 3) that shapes are made out."""
+    """Shade colors (N, 3) a little by the normals (N, 3), so that the shape can be seen."""
     normals = normals * np.where(normals[:, 2:] < 0, -1, 1)  # what is seen faces the camera
     light = np.clip(normals @ (LAMP / np.linalg.norm(LAMP)), 0, 1)[:, None]
     return np.clip(colors * (0.65 + 0.35 * light) + 0.3 * light**6, 0, 1)
 
 
 def _add_color_bar(figure: Figure, size: NDArray[np.float64]) -> None:
-    """A bar at the right edge, as high as the panels but for at most four inches."""
+    """Add a color bar at the right edge, as high as the panels and at most four inches."""
     height = min(4.0, size[1] - TOP - BOTTOM - GAP)
     middle = BOTTOM + (size[1] - TOP - BOTTOM + GAP) / 2
     place = (size[0] - RIGHT + 0.12, middle - height / 2, 0.13, height)

@@ -1,8 +1,8 @@
 """The paper's figures of an evaluation, as PNG files (Du et al., CVPR 2023, figs. 1, 3, 5 and 6).
 
-good_points.png      share of points below each error, a panel per category
+good_points.png      share of points below each error, a panel for each category
 z_angles.png         error over the angle between normal and z axis, and that angle before and after the transform
-heatmap_SHAPE.png    the clouds of a shape, colored by their errors: a row per category, a column per model
+heatmap_SHAPE.png    the clouds of a shape, colored by their errors: a row for each model, a column for each category
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def check_plots(folder: Path, overwrite: bool) -> None:
 
 
 def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Draw all figures that the evaluation has something for; the folder is created, pictures are overwritten.
+    """Draw all figures for which the evaluation has data. The folder is created; pictures are overwritten.
 
     Raises:
         InputError: a picture cannot be written, or the files of a cloud are no longer there.

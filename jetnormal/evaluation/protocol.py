@@ -1,4 +1,4 @@
-"""From a folder of clouds and a list of models to scores."""
+"""The evaluation itself: a folder of clouds and a list of models in, scores out."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from jetnormal.support.report import Advance, logger, progress
 
 @dataclass(frozen=True)
 class CloudResult:
-    """What one model reached on one cloud.
+    """The scores of one model on one cloud.
 
     Attributes:
         scores: of the cloud.
@@ -43,7 +43,7 @@ class CloudResult:
 
 @dataclass(frozen=True)
 class ModelResult:
-    """What one model reached.
+    """The scores of one model.
 
     Attributes:
         model: its name.
@@ -77,7 +77,7 @@ class ModelResult:
 
     @property
     def seconds(self) -> float:
-        """What that took, neighbor search included, reading the files and choosing signs not."""
+        """Seconds of the estimates: with the neighbor search, without reading files and choosing signs."""
         return sum(result.seconds for result in self.clouds.values())
 
     @property
@@ -103,7 +103,7 @@ class Evaluation:
     all_points: bool = False
 
     def summary(self) -> dict[str, Any]:
-        """All of it but the errors of single points as plain values, for JSON."""
+        """Return everything but the errors of single points as plain values, for JSON."""
         models = [
             {
                 "model": result.model,
@@ -190,7 +190,7 @@ def evaluate(
 
 
 def _by_category(clouds: dict[str, str]) -> dict[str, list[str]]:
-    """Names of the clouds of each category; PCPNet's categories come first."""
+    """Group the names of the clouds by category; PCPNet's categories come first."""
     order = [category for category in CATEGORIES if category in clouds.values()]
     order += sorted(set(clouds.values()) - set(order))
     return {category: [name for name, own in clouds.items() if own == category] for category in order}
@@ -230,7 +230,7 @@ class _Trial:
     def run(
         self, cloud: BenchmarkCloud, clean: NDArray[np.float64] | None, orient: str, advance: Advance, z_angles: bool
     ) -> CloudResult:
-        """Scores the model on a cloud, whose clean twin has the normals (Q, 3) next to the points evaluated."""
+        """Score the model on a cloud; `clean` are the normals (Q, 3) of its clean version."""
         estimate = self._kept(cloud, orient, advance)
         scores, errors = score(estimate.normals, cloud.true_normals, clean, signs=orient != "none")
         logger.debug("%s, %s: RMSE %.2f degrees", cloud.name, self.name, scores.rmse)
@@ -238,7 +238,7 @@ class _Trial:
         return CloudResult(scores, errors, estimate.points, estimate.seconds, angles)
 
     def _kept(self, cloud: BenchmarkCloud, orient: str, advance: Advance) -> Estimate:
-        """The estimate that was kept, or a new one, which is kept."""
+        """Return the estimate that was kept, or make and keep a new one."""
         if self.store is None:
             return self._estimate(cloud, orient, advance)
         path = self.store.path(cloud.name, self.facts | {"cloud": digest(*cloud.files)})

@@ -1,4 +1,4 @@
-"""What is counted about the normals of a cloud, and means of it."""
+"""Scores of the normals of a cloud, and their means."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Scores:
 def score(
     estimated: NDArray[Any], true: NDArray[np.float64], clean: NDArray[np.float64] | None = None, signs: bool = False
 ) -> tuple[Scores, NDArray[np.float32]]:
-    """Scores the normals of a cloud.
+    """Score the normals of a cloud.
 
     Args:
         estimated: (Q, 3) directions; NaN where there is none, which counts as the worst.
@@ -74,7 +74,7 @@ def score(
 
 
 def mean_scores(scores: Iterable[Scores]) -> Scores:
-    """The mean of each score over those that have it."""
+    """Average each score over the clouds that have it."""
     scores = list(scores)
     means: dict[str, Any] = {}
     for field in fields(Scores):
@@ -84,5 +84,5 @@ def mean_scores(scores: Iterable[Scores]) -> Scores:
 
 
 def good_points_curve(errors: Iterable[NDArray[np.float32]]) -> NDArray[np.float64]:
-    """The share of good points, (61,), below each of `THRESHOLDS`: the mean over clouds with errors (Q,) degrees."""
+    """Compute the share of good points (61,) below each of `THRESHOLDS`: the mean over clouds of errors (Q,)."""
     return np.mean([[pgp(one, threshold) for threshold in THRESHOLDS] for one in errors], axis=0)

@@ -21,7 +21,7 @@ from jetnormal.support.report import logger
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a model said of a cloud.
+    """The estimate of a model for a cloud.
 
     Attributes:
         normals: (Q, 3) float32 of the points evaluated.
@@ -42,7 +42,7 @@ class ResultStore:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Creates the folder if need be.
+        """Create the folder if need be.
 
         Raises:
             InputError: it cannot be created.
@@ -56,13 +56,13 @@ class ResultStore:
         self._folder = folder
 
     def path(self, cloud: str, facts: dict[str, Any]) -> Path:
-        """Where the estimate lies, or would lie, that `facts`, plain values with "model" among them, lead to."""
+        """Return the path of an estimate. `facts` are plain values on which it depends, "model" among them."""
         text = json.dumps(facts | {"version": __version__}, sort_keys=True)
         model = re.sub(r"[^\w.,=-]+", "_", facts["model"])[-60:]
         return self._folder / f"{cloud}.{model}.{hashlib.sha256(text.encode()).hexdigest()[:16]}.npz"
 
     def load(self, path: Path, count: int) -> Estimate | None:
-        """What `save` wrote there of `count` points; None if it did not, or something damaged it since."""
+        """Read what `save` wrote there, of `count` points; None if there is nothing, or if it is damaged."""
         if not path.is_file():
             return None
         try:

@@ -33,7 +33,7 @@ class Table:
     lower_is_better: list[bool]
 
     def cells(self) -> Iterator[list[tuple[str, bool]]]:
-        """Rows of texts, each with whether it is the best of its column; a single row has none to be better than."""
+        """Yield rows of texts, each with whether it is the best of its column (never in a single row)."""
         best: list[str] = []
         for column, lower in enumerate(self.lower_is_better):
             present = [value for row in self.values if (value := row[column]) is not None]
@@ -44,7 +44,7 @@ class Table:
 
 
 def make_tables(evaluation: Evaluation) -> list[Table]:
-    """RMSE, PGP5 and PGP10 by category, and the averages of the other scores with the speed."""
+    """Make tables of RMSE, PGP5 and PGP10 by category, and of the averages of the other scores with the speed."""
     by_category = [
         _table_by_category(evaluation, "RMSE (degrees)", lambda scores: scores.rmse, _degrees, lower=True),
         _table_by_category(evaluation, "PGP5 (%)", lambda scores: scores.pgp5, _percent),
@@ -70,7 +70,7 @@ def _table_by_category(
 
 
 def _overview(evaluation: Evaluation) -> Table:
-    """Averages over the categories of what is not shown by category, as far as there is any, and the speed."""
+    """Make the table of the other averages over the categories, as far as they are known, and of the speed."""
     measures: list[tuple[str, Callable[[ModelResult], float | None], Callable[[float], str], bool]] = [
         ("median (°)", lambda model: model.average.median, _degrees, True),
         (f"AUC{AUC_LIMIT:.0f} (%)", lambda model: model.average.auc, _percent, False),
@@ -127,7 +127,7 @@ def print_tables(tables: list[Table], stream: IO[str]) -> None:
 
 
 def markdown(tables: list[Table]) -> str:
-    """Tables in Markdown, the best of each column bold."""
+    """Write tables in Markdown, the best of each column bold."""
     lines: list[str] = []
     for table in tables:
         lines += [f"**{table.title}**", "", _markdown_row(table.columns)]
@@ -143,7 +143,7 @@ def _markdown_row(cells: list[str]) -> str:
 
 
 def comma_separated(evaluation: Evaluation) -> str:
-    """CSV with all scores: a row for each model and cloud, then, without a cloud, for each category and the average."""
+    """Write all scores as CSV: a row for each model and cloud, then for each category, then the average."""
     stream = io.StringIO()
     writer: csv.DictWriter[str] | None = None
     for model in evaluation.models:
@@ -159,7 +159,7 @@ def comma_separated(evaluation: Evaluation) -> str:
 
 
 def _rows(model: ModelResult, clouds: dict[str, str]) -> Iterator[tuple[str, str, Scores]]:
-    """Category, cloud and scores of each cloud, each category and the average."""
+    """Yield category, cloud and scores: for each cloud, for each category, for the average."""
     for name, result in model.clouds.items():
         yield clouds[name], name, result.scores
     for category, scores in model.categories.items():

@@ -1,4 +1,4 @@
-"""How near to the z axis a learned transform brings the true normals (Du et al., CVPR 2023, fig. 3)."""
+"""How close to the z axis a learned transform brings the true normals (Du et al., CVPR 2023, fig. 3)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAMPLE = 1000  # points of a cloud that are measured, at most
 
 @dataclass(frozen=True)
 class ZAngles:
-    """Angles between true normals and the z axis of their patches, in degrees, signs left aside.
+    """Angles between true normals and the z axis of their patches, in degrees, regardless of sign.
 
     Attributes:
         rows: (S,) which of the points evaluated were measured.
