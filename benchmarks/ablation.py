@@ -36,8 +36,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jetnormal import evaluate
 from jetnormal.errors import JetnormalError
-from jetnormal.evaluation import ModelResult, evaluate
+from jetnormal.evaluation.protocol import ModelResult
 from jetnormal.formats.atomic import atomic_write
 from jetnormal.support.report import configure_logging, logger
 from jetnormal.training.recipe import Recipe, make_recipe, merged, placed, read_tables

@@ -17,10 +17,9 @@ from jetnormal._version import __version__
 
 if TYPE_CHECKING:
     from jetnormal import errors
-    from jetnormal.api import Estimator, estimate, reconstruct, write
+    from jetnormal.api import Estimator, estimate, evaluate, reconstruct, write
     from jetnormal.cloud import Cloud
     from jetnormal.errors import JetnormalWarning
-    from jetnormal.evaluation import evaluate
     from jetnormal.formats import read
     from jetnormal.jobs.estimate import Result
     from jetnormal.jobs.options import EstimateOptions, ReconstructOptions
@@ -56,7 +55,7 @@ _HOMES = {
     "ReconstructOptions": "jetnormal.jobs.options",
     "Result": "jetnormal.jobs.estimate",
     "estimate": "jetnormal.api",
-    "evaluate": "jetnormal.evaluation",
+    "evaluate": "jetnormal.api",
     "load_model": "jetnormal.networks.checkpoint",
     "orient": "jetnormal.orientation.methods",
     "read": "jetnormal.formats",

@@ -9,10 +9,11 @@ from __future__ import annotations
 import functools
 import inspect
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, overload
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from jetnormal import formats
 from jetnormal.cloud import Cloud
 from jetnormal.convert import library_of, to_cloud, to_open3d
 from jetnormal.errors import JetnormalWarning, UsageError
+from jetnormal.evaluation.options import EvaluateOptions
 from jetnormal.jobs.estimate import Result, find_normals, prepare_estimator, with_normals
 from jetnormal.jobs.options import EstimateOptions, NormalOptions, ReconstructOptions
 from jetnormal.mesh import Mesh
@@ -28,26 +30,47 @@ from jetnormal.support.options import Option, Vector, fields
 from jetnormal.support.report import StageTimer
 from jetnormal.support.suggest import did_you_mean
 
+if TYPE_CHECKING:
+    from jetnormal.estimators.base import Estimator as DirectionEstimator
+    from jetnormal.evaluation.protocol import Evaluation
+
 Path_ = str | PathLike[str]
 P = ParamSpec("P")
 R = TypeVar("R")
 KEPT_MODELS = 4  # by `estimate`, in memory
 
 
-def _options(kind: Callable[P, Any]) -> Callable[[Callable[[Any, Any], R]], Callable[Concatenate[Any, P], R]]:
-    """Give a function of points and an option set the fields of the set as options of its own."""
+A = TypeVar("A")
+B = TypeVar("B")
 
-    def decorate(function: Callable[[Any, Any], R]) -> Callable[Concatenate[Any, P], R]:
-        own = fields(kind)  # type: ignore[arg-type]
+
+def _options(kind: Callable[P, Any]) -> Callable[[Callable[[A, Any], R]], Callable[Concatenate[A, P], R]]:
+    """Give a function of points and an option set the fields of the set as options of its own."""
+    return _flattened(kind)
+
+
+def _options_of_two(kind: Callable[P, Any]) -> Callable[[Callable[[A, B, Any], R]], Callable[Concatenate[A, B, P], R]]:
+    """The same for a function of two arguments and an option set."""
+    return _flattened(kind)
+
+
+def _flattened(kind: Any) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """What `_options` does: the options are made an instance of their set, which is the function's last argument."""
+
+    def decorate(function: Callable[..., R]) -> Callable[..., R]:
+        own = fields(kind)
         names = [field.name for field in own]
+        first = list(inspect.signature(function).parameters)[:-1]
 
         @functools.wraps(function)
-        def call(points: Any, *positional: P.args, **options: P.kwargs) -> R:
+        def call(*arguments: Any, **options: Any) -> R:
             for name in options:
-                if name not in names:
+                if name not in names and name not in first:
                     hint = did_you_mean(name, names)
                     raise TypeError(f"{function.__name__}() has no option {name!r}{hint}")
-            return function(points, kind(*positional, **options))
+            named = {name: options.pop(name) for name in first if name in options}
+            count = len(first) - len(named)
+            return function(*arguments[:count], **named, options=kind(*arguments[count:], **options))
 
         made: Any = call
         made.__signature__ = _signature(function, kind)
@@ -60,10 +83,10 @@ def _options(kind: Callable[P, Any]) -> Callable[[Callable[[Any, Any], R]], Call
 
 def _signature(function: Callable[..., Any], kind: Any) -> inspect.Signature:
     types = {field.name: field.type for field in fields(kind)}
-    own = inspect.signature(function, eval_str=True)
-    first, _ = own.parameters.values()
+    own = inspect.signature(function)
+    *first, _ = own.parameters.values()
     rest = [one.replace(annotation=types[one.name]) for one in inspect.signature(kind).parameters.values()]
-    return inspect.Signature([first, *rest], return_annotation=own.return_annotation)
+    return inspect.Signature([*first, *rest], return_annotation=own.return_annotation)
 
 
 def _warn(messages: Iterable[str]) -> None:
@@ -199,6 +222,26 @@ def reconstruct(points: Any, options: ReconstructOptions) -> Mesh:
     mesh, facts = reconstruct_cloud(cloud, options, StageTimer())
     _warn([*cloud.source.notes, *facts["warnings"]])
     return mesh
+
+
+@_options_of_two(EvaluateOptions)
+def evaluate(data: Path_, models: Sequence[str | DirectionEstimator], options: EvaluateOptions) -> Evaluation:
+    """Compare estimators by the PCPNet protocol. One cloud is in memory at a time, and all models see it.
+
+    Args:
+        data: folder in PCPNet's layout: NAME.xyz, NAME.normals and, where not all points count, NAME.pidx.
+        models: names or files, with settings as in "jet:k=122,order=2" (`estimators.factory.make_estimator`), or
+            estimators (`estimators.base.Estimator`).
+
+    Raises:
+        InputError: the list or a file of a cloud is missing, unreadable or does not fit the others.
+        UsageError: there is no model, one is given twice, or its settings are wrong.
+        ModelError: a model is unknown or damaged.
+        ResourceError: there is no such device.
+    """
+    from jetnormal.evaluation.protocol import evaluate
+
+    return evaluate(Path(data), models, options)
 
 
 def write(content: Any, path: Path_, *, encoding: str | None = None, overwrite: bool = False) -> None:

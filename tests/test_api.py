@@ -38,17 +38,23 @@ def test_an_estimator_gives_all_there_is_to_know():
     assert repr(result).startswith("<Result: 601 normals by jet:k=40,order=2, signs by global")
 
 
-def test_an_estimator_loads_its_model_once(monkeypatch):
+def counted(monkeypatch) -> list[NormalOptions]:
+    """A list that grows with every model that is loaded."""
     loads = []
-    monkeypatch.setattr(factory, "_load", lambda name, load=factory._load: loads.append(name) or load(name))
+    prepare = api.prepare_estimator
+    monkeypatch.setattr(api, "prepare_estimator", lambda options: loads.append(options) or prepare(options))
+    return loads
+
+
+def test_an_estimator_loads_its_model_once(monkeypatch):
+    loads = counted(monkeypatch)
     est = Estimator("cloudfit", threads=1)
     first, second = est(sphere()), est(sphere())
-    assert loads == ["cloudfit"] and np.array_equal(first.normals, second.normals)
+    assert len(loads) == 1 and np.array_equal(first.normals, second.normals)
 
 
 def test_estimate_keeps_its_model_until_the_file_changes(monkeypatch, tmp_path):
-    loads = []
-    monkeypatch.setattr(factory, "_load", lambda name, load=factory._load: loads.append(name) or load(name))
+    loads = counted(monkeypatch)
     api._kept.cache_clear()
     path = tmp_path / "own.safetensors"
     path.write_bytes(factory.model_file("deepfit-small").read_bytes())

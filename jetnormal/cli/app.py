@@ -31,7 +31,7 @@ app = typer.Typer(
 app.command(cls=GroupedCommand)(estimate)
 app.command(cls=GroupedCommand)(reconstruct)
 app.command(cls=GroupedCommand)(preview)
-app.command()(evaluate)
+app.command(cls=GroupedCommand)(evaluate)
 app.command(cls=GroupedCommand)(train)
 app.command()(models)
 app.command()(dataset)

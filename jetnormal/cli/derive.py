@@ -148,6 +148,8 @@ def _typer_option(field: Field) -> Any:
     settings: dict[str, Any] = {"min": note.low, "max": note.high} if {int, float} & {*field.types} else {}
     if note.parse is not None:
         settings["parser"] = _parser(note.parse)
+    if note.complete is not None:
+        settings["autocompletion"] = note.complete
     shown = True if note.default is None else note.default
     return typer.Option(
         *names, help=note.help, metavar=note.metavar, show_default=shown, rich_help_panel=note.group, **settings

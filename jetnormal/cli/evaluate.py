@@ -3,53 +3,46 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
+from jetnormal.cli.derive import with_options
+from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
 from jetnormal.errors import UsageError
+from jetnormal.evaluation.options import EvaluateOptions
+from jetnormal.jobs.options import complete_model, parse_vector
 from jetnormal.support.report import logger, print_json
 
 
+@with_options
 def evaluate(
     data: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder in PCPNet's layout: NAME.xyz, NAME.normals, NAME.pidx.")
     ],
+    options: EvaluateOptions,
     model: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
-            metavar="NAME|FILE", help="pca, jet, a packaged network or a checkpoint; repeat it to compare several."
+            metavar="NAME|FILE",
+            help="pca, jet, a packaged network or a checkpoint; repeat it to compare several.",
+            autocompletion=complete_model,
         ),
-    ],
-    list_file: Annotated[
-        str | None,
-        typer.Option(
-            "--list", metavar="FILE", help="List of the clouds, in DIR.", show_default="testset_all.txt, else all"
-        ),
-    ] = None,
-    all_points: Annotated[
-        bool, typer.Option("--all-points", help="Evaluate all points, not those in NAME.pidx.")
-    ] = False,
-    orient: Annotated[
-        Literal["none", "global", "mst", "viewpoint", "up"],
-        typer.Option(help="Choose signs, and score them, too; estimates all points. viewpoint: by NAME.ply of a scan."),
-    ] = "none",
-    results: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder that keeps the normals, so that an interrupted evaluation goes on."),
     ] = None,
     plots: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Draw error heatmaps and curves as PNG files into this folder.")
+        Path | None, typer.Option(metavar="DIR", help="Draw error heatmaps and curves into this folder.")
     ] = None,
+    plots_format: Annotated[Literal["png", "pdf", "svg"], typer.Option(help="Of the pictures.")] = "png",
+    up: Annotated[
+        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Direction that is up in the heatmaps.")
+    ] = "0,1,0",
     force: Annotated[bool, typer.Option("--force", help="Overwrite the pictures of an earlier evaluation.")] = False,
     table: Annotated[
-        Literal["rich", "markdown", "csv"] | None,
+        Literal["rich", "markdown", "latex", "csv"] | None,
         typer.Option("--format", help="Of the tables.", show_default="rich"),
     ] = None,
-    device: Device = "auto",
-    threads: Threads = None,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -78,35 +71,27 @@ def evaluate(
       jetnormal evaluate --data pcpnet --model cloudfit --model pca:k=112 --model jet:k=122,order=2 --plots plots
       jetnormal evaluate --data pcpnet --list testset_no_noise.txt --model run/model.safetensors --json
       jetnormal evaluate --data pcpnet --model cloudfit --results kept --format csv > scores.csv
+      jetnormal evaluate --data pcpnet --model cloudfit --normals theirs=their_results --format latex
+      jetnormal evaluate --data pcpnet --model cloudfit --plots figures --plots-format pdf --up 0,0,1
     """
     set_verbosity(quiet, verbose)
     if json and table:
         raise UsageError(f"--json contradicts --format {table}: leave one of them out")
-    from jetnormal.evaluation import evaluate
     from jetnormal.evaluation.plots import check_plots, write_plots
-    from jetnormal.evaluation.tables import comma_separated, make_tables, markdown, print_tables
+    from jetnormal.evaluation.protocol import evaluate
+    from jetnormal.evaluation.tables import comma_separated, latex, make_tables, markdown, print_tables
 
     if plots:
-        check_plots(plots, overwrite=force)
-    evaluation = evaluate(
-        data,
-        model,
-        list_file=list_file,
-        all_points=all_points,
-        orient=orient,
-        results=results,
-        z_angles=plots is not None,
-        device=device,
-        threads=threads,
-    )
+        check_plots(plots, overwrite=force, suffix=plots_format)
+    evaluation = evaluate(data, model or [], replace(options, z_angles=plots is not None))
     if json:
         print_json(evaluation.summary())
     elif table == "csv":
         typer.echo(comma_separated(evaluation), nl=False)
-    elif table == "markdown":
-        typer.echo(markdown(make_tables(evaluation)), nl=False)
+    elif table in ("markdown", "latex"):
+        typer.echo((markdown if table == "markdown" else latex)(make_tables(evaluation)), nl=False)
     else:
         print_tables(make_tables(evaluation), sys.stdout)
     if plots:
-        paths = write_plots(evaluation, plots)
+        paths = write_plots(evaluation, plots, plots_format, up)
         logger.info("%d pictures in %s", len(paths), plots)

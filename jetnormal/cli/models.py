@@ -11,6 +11,7 @@ import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
+from jetnormal.jobs.options import complete_model
 from jetnormal.support.report import print_json
 
 if TYPE_CHECKING:
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
 
 def models(
     model: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME|FILE", help="Models to list.", show_default="all packaged ones")
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME|FILE", help="Models to list.", show_default="all packaged ones", autocompletion=complete_model
+        ),
     ] = None,
     complexity: Annotated[
         bool, typer.Option("--complexity", help="List the paper's six networks instead, with random weights.")

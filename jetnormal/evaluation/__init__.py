@@ -4,8 +4,3 @@ The error of a cloud is that of the points which its .pidx file names. The error
 clouds, and the average is the mean over the categories (Guerrero et al., "PCPNet: Learning Local Shape Properties
 from Raw Point Clouds", Eurographics 2018).
 """
-
-from jetnormal.evaluation.protocol import CloudResult, Evaluation, ModelResult, evaluate
-from jetnormal.evaluation.scores import Scores
-
-__all__ = ["CloudResult", "Evaluation", "ModelResult", "Scores", "evaluate"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib import colormaps
@@ -11,43 +12,59 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from jetnormal.evaluation.camera import HEIGHT, WIDTH, Camera, paint
 from jetnormal.evaluation.clouds import BenchmarkCloud, read_benchmark_cloud
 from jetnormal.evaluation.curves import TITLES, short
 from jetnormal.evaluation.protocol import Evaluation
 from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.rendering.camera import Camera, interesting_direction, make_camera
+from jetnormal.rendering.light import develop
+from jetnormal.rendering.scene import Scene
+from jetnormal.rendering.surfels import Surfels, see
 
 ERROR_LIMIT = 60.0  # degrees, the end of the color scale
 COLORS = colormaps["jet"]  # the paper's, as in most work on normals
+SIZE = 420  # pixels of the longer side of a panel
+SUPERSAMPLING = 2
 DOTS_PER_INCH = 150
-LAMP = np.array([-0.4, 0.5, 0.77])  # towards it, in the camera's axes
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.35, 0.75, 0.75, 0.1, 0.25  # inches around and below the panels
 
 
-def draw_heatmaps(evaluation: Evaluation, shape: str, names: Sequence[str]) -> Figure:
+def draw_heatmaps(
+    evaluation: Evaluation, shape: str, names: Sequence[str], up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+) -> Figure:
     """Draw the clouds of a shape: a column for each, a row for each model, the RMSE below.
 
     The camera is the same for all. Points that were not evaluated take the color of the nearest one that was.
+
+    Args:
+        evaluation: what is drawn.
+        shape: for the title.
+        names: of its clouds.
+        up: direction in the clouds' coordinates; y of PCPNet's shapes.
 
     Raises:
         InputError: the files of a cloud are no longer there.
     """
     order = list(evaluation.models[0].categories)
     names = sorted(names, key=lambda name: order.index(evaluation.clouds[name]))
-    width, height = WIDTH / DOTS_PER_INCH, HEIGHT / DOTS_PER_INCH
-    size = np.array([LEFT + width * len(names) + RIGHT, TOP + (height + GAP) * len(evaluation.models) + BOTTOM])
+    clouds = [read_benchmark_cloud(evaluation.data, name, evaluation.all_points) for name in names]
+    middle = (clouds[0].points.min(axis=0) + clouds[0].points.max(axis=0)) / 2
+    scenes = [_scene(cloud, middle).turned_up(np.array(up)) for cloud in clouds]
+    towards = interesting_direction(scenes[0].points, scenes[0].normals)
+    camera = make_camera(scenes[0].points, towards, SIZE * SUPERSAMPLING)
+    width, height = (side / SUPERSAMPLING / DOTS_PER_INCH for side in (camera.width, camera.height))
+    rows = len(evaluation.models)
+    size = np.array([LEFT + width * len(names) + RIGHT, TOP + (height + GAP) * rows + BOTTOM])
     figure = Figure(figsize=(size[0], size[1]), dpi=DOTS_PER_INCH)
-    camera: Camera | None = None
-    for column, name in enumerate(names):
-        cloud = read_benchmark_cloud(evaluation.data, name, evaluation.all_points)
-        camera = camera or Camera(cloud.points, cloud.normals)
-        index = camera.render(cloud.points)
+    for column, (name, cloud, scene) in enumerate(zip(names, clouds, scenes, strict=True)):
+        surfels = _facing(see(scene, camera), camera)
         nearest = _nearest_evaluated(cloud)
         for row, model in enumerate(evaluation.models):
             corner = LEFT + width * column, size[1] - TOP - (height + GAP) * row - height
             panel = figure.add_axes((corner[0] / size[0], corner[1] / size[1], width / size[0], height / size[1]))
-            errors = model.clouds[name].errors[nearest]
-            panel.imshow(paint(index, _lit(COLORS(errors / ERROR_LIMIT)[:, :3], cloud.normals @ camera.axes.T)))
+            colors = COLORS(model.clouds[name].errors[nearest] / ERROR_LIMIT)[:, :3]
+            painted = replace(surfels, colors=colors[surfels.index].astype(np.float32))
+            panel.imshow(develop(painted, camera, scenes[0].radius, SUPERSAMPLING, "white"))
             panel.set(xticks=[], yticks=[])
             panel.spines[:].set_visible(False)
             panel.set_xlabel(f"{model.clouds[name].scores.rmse:.2f}°", fontsize=10, labelpad=2)
@@ -62,17 +79,21 @@ def draw_heatmaps(evaluation: Evaluation, shape: str, names: Sequence[str]) -> F
     return figure
 
 
+def _scene(cloud: BenchmarkCloud, middle: NDArray[np.float64]) -> Scene:
+    return Scene(cloud.points - middle, cloud.normals, np.ones_like(cloud.points))
+
+
+def _facing(surfels: Surfels, camera: Camera) -> Surfels:
+    """The same with normals towards the camera: which side of a surface is seen does not matter here."""
+    away = (surfels.normals * camera.rays()).sum(axis=2, keepdims=True) > 0
+    normals = np.where(away, -surfels.normals, surfels.normals)
+    return replace(surfels, normals=normals, back=np.zeros_like(surfels.back))
+
+
 def _nearest_evaluated(cloud: BenchmarkCloud) -> NDArray[np.int64]:
     """Find for each point (N,) the nearest evaluated point, as its place among those."""
     nearest, _ = NeighborIndex(cloud.points[cloud.queries]).query(cloud.points, 1)
     return nearest[:, 0]
-
-
-def _lit(colors: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shade colors (N, 3) a little by the normals (N, 3), so that the shape can be seen."""
-    normals = normals * np.where(normals[:, 2:] < 0, -1, 1)  # what is seen faces the camera
-    light = np.clip(normals @ (LAMP / np.linalg.norm(LAMP)), 0, 1)[:, None]
-    return np.clip(colors * (0.65 + 0.35 * light) + 0.3 * light**6, 0, 1)
 
 
 def _add_color_bar(figure: Figure, size: NDArray[np.float64]) -> None:

@@ -1,8 +1,8 @@
-"""The paper's figures of an evaluation, as PNG files (Du et al., CVPR 2023, figs. 1, 3, 5 and 6).
+"""The paper's figures of an evaluation, as PNG, PDF or SVG files (Du et al., CVPR 2023, figs. 1, 3, 5 and 6).
 
-good_points.png      share of points below each error, a panel for each category
-z_angles.png         error over the angle between normal and z axis, and that angle before and after the transform
-heatmap_SHAPE.png    the clouds of a shape, colored by their errors: a row for each model, a column for each category
+good_points          share of points below each error, a panel for each category
+z_angles             error over the angle between normal and z axis, and that angle before and after the transform
+heatmap_SHAPE        the clouds of a shape, colored by their errors: a row for each model, a column for each category
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from jetnormal.evaluation.protocol import Evaluation
 
 
-def check_plots(folder: Path, overwrite: bool) -> None:
+def check_plots(folder: Path, overwrite: bool, suffix: str = "png") -> None:
     """Find out, before any long computation, whether pictures can be drawn.
 
     Raises:
@@ -33,12 +33,20 @@ def check_plots(folder: Path, overwrite: bool) -> None:
         raise UsageError("pictures need Matplotlib: install it with pip install 'jetnormal[plots]'")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is no folder; choose another one for the pictures")
-    if not overwrite and any(folder.glob("*.png")):
+    if not overwrite and any(folder.glob(f"*.{suffix}")):
         raise InputError(f"{folder}: holds pictures already; use `overwrite` to replace them or choose another folder")
 
 
-def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:
+def write_plots(
+    evaluation: Evaluation, folder: Path, suffix: str = "png", up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+) -> list[Path]:
     """Draw all figures for which the evaluation has data. The folder is created; pictures are overwritten.
+
+    Args:
+        evaluation: what is drawn.
+        folder: for the pictures.
+        suffix: "png", "pdf" or "svg". The same evaluation gives the same bytes.
+        up: direction in the clouds' coordinates that is up in heatmaps.
 
     Raises:
         InputError: a picture cannot be written, or the files of a cloud are no longer there.
@@ -55,19 +63,21 @@ def write_plots(evaluation: Evaluation, folder: Path) -> list[Path]:
     shapes: dict[str, list[str]] = {}
     for name, category in evaluation.clouds.items():
         shapes.setdefault(shape_of(name, category), []).append(name)
-    with rc_context({"text.parse_math": False}):  # a dollar sign in a name is one
-        paths = [_save(draw_good_points(evaluation), folder / "good_points.png")]
+    with rc_context({"text.parse_math": False, "svg.hashsalt": "jetnormal"}):  # a dollar sign in a name is one
+        paths = [_save(draw_good_points(evaluation), folder / f"good_points.{suffix}")]
         if figure := draw_z_angles(evaluation):
-            paths.append(_save(figure, folder / "z_angles.png"))
+            paths.append(_save(figure, folder / f"z_angles.{suffix}"))
         with progress("drawing", len(evaluation.clouds), "clouds") as advance:
             for shape, names in shapes.items():
-                figure = draw_heatmaps(evaluation, shape, names)
-                paths.append(_save(figure, folder / f"heatmap_{shape}.png"))
+                figure = draw_heatmaps(evaluation, shape, names, up)
+                paths.append(_save(figure, folder / f"heatmap_{shape}.{suffix}"))
                 advance(len(names))
     return paths
 
 
 def _save(figure: Figure, path: Path) -> Path:
+    suffix = path.suffix[1:]
+    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
     with atomic_write(path, overwrite=True) as stream:
-        figure.savefig(stream, format="png")
+        figure.savefig(stream, format=suffix, metadata=undated.get(suffix))
     return path

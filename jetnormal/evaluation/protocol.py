@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,19 @@ from numpy.typing import NDArray
 from jetnormal.errors import InputError, UsageError
 from jetnormal.estimators.base import Estimator
 from jetnormal.evaluation.clouds import BenchmarkCloud, clean_normals, read_benchmark_cloud
+from jetnormal.evaluation.options import EvaluateOptions
 from jetnormal.evaluation.scores import THRESHOLDS, Scores, good_points_curve, mean_scores, score
 from jetnormal.evaluation.store import Estimate, ResultStore, digest
 from jetnormal.evaluation.zangles import ZAngles, measure_z_angles
-from jetnormal.formats.pcpnet import CATEGORIES, TEST_LIST, categorize, cloud_names, query_count
+from jetnormal.formats.pcpnet import (
+    CATEGORIES,
+    TEST_LIST,
+    categorize,
+    cloud_names,
+    query_count,
+    read_normals,
+    write_normals,
+)
 from jetnormal.support.report import Advance, logger, progress
 
 
@@ -30,14 +40,14 @@ class CloudResult:
         scores: of the cloud.
         errors: (Q,) float32 angles to the true normals at the points evaluated, in degrees, signs left aside.
         points: number of normals estimated, at least Q.
-        seconds: that took.
+        seconds: that took; None for normals of another program.
         z_angles: before and after the learned transform, of a patch network and if asked for.
     """
 
     scores: Scores
     errors: NDArray[np.float32]
     points: int
-    seconds: float
+    seconds: float | None
     z_angles: ZAngles | None = None
 
 
@@ -76,14 +86,15 @@ class ModelResult:
         return sum(result.points for result in self.clouds.values())
 
     @property
-    def seconds(self) -> float:
-        """Seconds of the estimates: with the neighbor search, without reading files and choosing signs."""
-        return sum(result.seconds for result in self.clouds.values())
+    def seconds(self) -> float | None:
+        """Seconds of the estimates, without reading files and choosing signs; None if unknown."""
+        times = [result.seconds for result in self.clouds.values() if result.seconds is not None]
+        return sum(times) if len(times) == len(self.clouds) else None
 
     @property
-    def points_per_second(self) -> float:
-        """Normals estimated in a second."""
-        return self.points / self.seconds
+    def points_per_second(self) -> float | None:
+        """Normals estimated in a second; None if unknown."""
+        return self.points / self.seconds if self.seconds else None
 
 
 @dataclass(frozen=True)
@@ -126,67 +137,28 @@ class Evaluation:
         }
 
 
-def evaluate(
-    data: Path | str,
-    models: Sequence[str | Estimator],
-    *,
-    list_file: str | None = None,
-    all_points: bool = False,
-    orient: str = "none",
-    results: Path | str | None = None,
-    z_angles: bool = False,
-    device: str = "auto",
-    threads: int | None = None,
-) -> Evaluation:
-    """Compare estimators by the PCPNet protocol. One cloud is in memory at a time, and all models see it.
-
-    Args:
-        data: folder in PCPNet's layout: NAME.xyz, NAME.normals and, where not all points count, NAME.pidx.
-        models: names or files, with settings as in "jet:k=122,order=2" (see `estimators.factory.make_estimator`), or
-            estimators.
-        list_file: name of the list in the folder, one NAME per line; None takes `testset_all.txt` where there is
-            one, else all clouds with normals.
-        all_points: whether all points count, whatever .pidx says.
-        orient: "none", or how signs are chosen (`orientation.methods`), which are then scored, too. Signs spread from
-            point to point, so that the normals of all points are estimated. "viewpoint" turns them to the sensors,
-            whose places are attributes of NAME.ply.
-        results: folder that keeps the normals of models given by name, and gives them back when nothing that they
-            depend on has changed; the seconds are those of the first time.
-        z_angles: whether to measure the angles between true normals and z axis before and after the learned
-            transform of patch networks.
-        device: "auto", "cpu", "cuda" or "cuda:N", for the models given by name.
-        threads: of the CPU, for the models given by name; None takes all.
-
-    Raises:
-        InputError: the list or a file of a cloud is missing, unreadable or does not fit the others.
-        UsageError: there is no model, one is given twice, or its settings are wrong.
-        ModelError: a model is unknown or damaged.
-        ResourceError: there is no such device.
-    """
-    from jetnormal.orientation.methods import Method
-
+def evaluate(data: Path | str, models: Sequence[str | Estimator], options: EvaluateOptions) -> Evaluation:
+    """Compare estimators by the PCPNet protocol: see `jetnormal.evaluate`."""
     folder = Path(data)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    if orient not in get_args(Method):
-        raise UsageError(f"there is no orientation {orient!r} here; choose from {', '.join(get_args(Method))}")
+    list_file = options.list_file
     if list_file is None and (folder / TEST_LIST).is_file():
         list_file = TEST_LIST
     clouds = categorize(folder, cloud_names(folder, list_file))
-    store = None if results is None else ResultStore(Path(results))
-    settings = {"orient": orient, "all_points": all_points, "device": device, "threads": threads}
-    trials = _make_trials(models, settings, store)
+    trials = _make_trials(models, options)
     logger.info("evaluating %d models on %d clouds", len(trials), len(clouds))
     found: dict[str, dict[str, CloudResult]] = {trial.name: {} for trial in trials}
-    total = sum(query_count(folder, cloud, all_points or orient != "none") for cloud in clouds)
+    total = sum(query_count(folder, cloud, options.all_points or options.orient != "none") for cloud in clouds)
     with progress("evaluating", len(trials) * total) as advance:
         for name in clouds:
-            cloud = read_benchmark_cloud(folder, name, all_points, sensors=orient == "viewpoint")
+            cloud = read_benchmark_cloud(folder, name, options.all_points, sensors=options.orient == "viewpoint")
             clean = clean_normals(folder, cloud)
             for trial in trials:
-                found[trial.name][name] = trial.run(cloud, clean, orient, advance, z_angles)
+                found[trial.name][name] = trial.run(cloud, clean, options, advance)
     names = _by_category(clouds)
-    return Evaluation(folder, clouds, [ModelResult(model, found[model], names) for model in found], all_points)
+    results = [ModelResult(model, found[model], names) for model in found]
+    return Evaluation(folder, clouds, results, options.all_points)
 
 
 def _by_category(clouds: dict[str, str]) -> dict[str, list[str]]:
@@ -196,57 +168,107 @@ def _by_category(clouds: dict[str, str]) -> dict[str, list[str]]:
     return {category: [name for name, own in clouds.items() if own == category] for category in order}
 
 
-def _make_trials(
-    models: Sequence[str | Estimator], settings: dict[str, Any], store: ResultStore | None
-) -> list[_Trial]:
+def _make_trials(models: Sequence[str | Estimator], options: EvaluateOptions) -> list[_Trial]:
+    store = None if options.results is None else ResultStore(options.results)
+    trials = [_model_trial(model, options, store) for model in models]
+    trials += [_Given(*_named_folder(text)) for text in options.normals]
+    names = [trial.name for trial in trials]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"model {name} is given twice")
+    if not trials:
+        raise UsageError("there is no model to evaluate: give at least one, or `normals`")
+    return trials
+
+
+def _model_trial(model: str | Estimator, options: EvaluateOptions, store: ResultStore | None) -> _Trial:
     from jetnormal.estimators.factory import make_estimator, model_file
 
-    trials: dict[str, _Trial] = {}
-    for model in models:
-        if isinstance(model, str):
-            estimator: Estimator = make_estimator(model, device=settings["device"], threads=settings["threads"])
-            file = model_file(model)
-            facts = settings | {"model": estimator.name, "file": digest(file) if file and store else None}
-            trial = _Trial(model, estimator, facts, store)
-        else:
-            trial = _Trial(model.name, model, {}, None)
-        if trial.name in trials:
-            raise UsageError(f"model {trial.name} is given twice")
-        trials[trial.name] = trial
-    if not trials:
-        raise UsageError("there is no model to evaluate: give at least one")
-    return list(trials.values())
+    if not isinstance(model, str):
+        return _Estimated(model.name, model, {}, None)
+    estimator = make_estimator(model, device=options.device, threads=options.threads)
+    file = model_file(model)
+    facts = {name: getattr(options, name) for name in ("orient", "all_points", "device", "threads")}
+    facts |= {"model": estimator.name, "file": digest(file) if file and store else None}
+    return _Estimated(model, estimator, facts, store)
+
+
+def _named_folder(text: str) -> tuple[str, Path]:
+    name, _, folder = text.partition("=")
+    if not Path(folder).is_dir():
+        raise InputError(f"{folder}: no such folder of normals")
+    return name, Path(folder)
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """A model, and where its estimates are kept: `facts` are what they depend on beside the cloud."""
+    """Something that has normals for the clouds of a benchmark."""
 
     name: str
+
+    def run(
+        self, cloud: BenchmarkCloud, clean: NDArray[np.float64] | None, options: EvaluateOptions, advance: Advance
+    ) -> CloudResult:
+        """Score a cloud; `clean` are the normals (Q, 3) of its clean version."""
+        estimate = self.estimate(cloud, options, advance)
+        if options.export_normals is not None:
+            write_normals(options.export_normals / _folder_name(self.name) / f"{cloud.name}.normals", estimate.normals)
+        scores, errors = score(estimate.normals, cloud.true_normals, clean, signs=options.orient != "none")
+        logger.debug("%s, %s: RMSE %.2f degrees", cloud.name, self.name, scores.rmse)
+        angles = self.z_angles(cloud) if options.z_angles else None
+        return CloudResult(scores, errors, estimate.points, estimate.seconds, angles)
+
+    def estimate(self, cloud: BenchmarkCloud, options: EvaluateOptions, advance: Advance) -> Estimate:
+        """The normals at the points evaluated."""
+        raise NotImplementedError
+
+    def z_angles(self, cloud: BenchmarkCloud) -> ZAngles | None:
+        """What the learned transform of a patch network does."""
+        return None
+
+
+@dataclass(frozen=True)
+class _Given(_Trial):
+    """The normals of another program, in a folder."""
+
+    folder: Path
+
+    def estimate(self, cloud: BenchmarkCloud, options: EvaluateOptions, advance: Advance) -> Estimate:
+        """See `_Trial`."""
+        normals = read_normals(self.folder / f"{cloud.name}.normals")
+        if len(normals) == len(cloud.points):
+            normals = normals[cloud.queries]
+        elif len(normals) != len(cloud.queries):
+            raise InputError(
+                f"{self.folder / cloud.name}.normals: {len(normals)} rows for {len(cloud.points)} points, "
+                f"{len(cloud.queries)} of them evaluated"
+            )
+        advance(len(cloud.points) if options.orient != "none" else len(cloud.queries))
+        return Estimate(normals, len(normals), None)
+
+
+@dataclass(frozen=True)
+class _Estimated(_Trial):
+    """A model, and where its estimates are kept: `facts` are what they depend on beside the cloud."""
+
     estimator: Estimator
     facts: dict[str, Any]
     store: ResultStore | None
 
-    def run(
-        self, cloud: BenchmarkCloud, clean: NDArray[np.float64] | None, orient: str, advance: Advance, z_angles: bool
-    ) -> CloudResult:
-        """Score the model on a cloud; `clean` are the normals (Q, 3) of its clean version."""
-        estimate = self._kept(cloud, orient, advance)
-        scores, errors = score(estimate.normals, cloud.true_normals, clean, signs=orient != "none")
-        logger.debug("%s, %s: RMSE %.2f degrees", cloud.name, self.name, scores.rmse)
-        angles = measure_z_angles(self.estimator, cloud) if z_angles else None
-        return CloudResult(scores, errors, estimate.points, estimate.seconds, angles)
+    def z_angles(self, cloud: BenchmarkCloud) -> ZAngles | None:
+        """See `_Trial`."""
+        return measure_z_angles(self.estimator, cloud)
 
-    def _kept(self, cloud: BenchmarkCloud, orient: str, advance: Advance) -> Estimate:
-        """Return the estimate that was kept, or make and keep a new one."""
+    def estimate(self, cloud: BenchmarkCloud, options: EvaluateOptions, advance: Advance) -> Estimate:
+        """See `_Trial`: the estimate that was kept, or a new one, which is kept."""
         if self.store is None:
-            return self._estimate(cloud, orient, advance)
+            return self._estimate(cloud, options.orient, advance)
         path = self.store.path(cloud.name, self.facts | {"cloud": digest(*cloud.files)})
         estimate = self.store.load(path, len(cloud.queries))
         if estimate:
             advance(estimate.points)
             return estimate
-        estimate = self._estimate(cloud, orient, advance)
+        estimate = self._estimate(cloud, options.orient, advance)
         self.store.save(path, estimate)
         return estimate
 
@@ -260,3 +282,8 @@ class _Trial:
         if orient != "none":
             normals = choose_signs(cloud.points, normals, orient, viewpoint=cloud.sensors)[cloud.queries]  # type: ignore[arg-type]
         return Estimate(normals, len(rows), seconds)
+
+
+def _folder_name(model: str) -> str:
+    """The name of a model, which may be a path, as that of one folder."""
+    return re.sub(r"[^\w.,=-]+", "_", model)[-100:]

@@ -24,14 +24,14 @@ class Estimate:
     """The estimate of a model for a cloud.
 
     Attributes:
-        normals: (Q, 3) float32 of the points evaluated.
+        normals: (Q, 3) of the points evaluated.
         points: number of points whose normals were estimated, at least Q.
-        seconds: that took, neighbor search included, reading the files and choosing signs not.
+        seconds: that took, neighbor search included, reading the files and choosing signs not; None if unknown.
     """
 
-    normals: NDArray[np.float32]
+    normals: NDArray[np.floating[Any]]
     points: int
-    seconds: float
+    seconds: float | None
 
 
 class ResultStore:
@@ -80,6 +80,7 @@ class ResultStore:
         Raises:
             InputError: the file cannot be written.
         """
+        assert estimate.seconds is not None
         with atomic_write(path, overwrite=True) as stream:
             np.savez(stream, normals=estimate.normals, points=estimate.points, seconds=estimate.seconds)
 

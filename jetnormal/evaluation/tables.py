@@ -4,12 +4,24 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import IO
 
 from jetnormal.evaluation.protocol import Evaluation, ModelResult
 from jetnormal.evaluation.scores import AUC_LIMIT, Scores
+
+LATEX = str.maketrans(
+    {char: f"\\{char}" for char in "&%$#_{}"}
+    | {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "°": r"\textdegree{}",
+        "–": "--",
+    }
+)
+"""Characters that mean something else to LaTeX."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +93,7 @@ def _overview(evaluation: Evaluation) -> Table:
         ("points/s", lambda model: model.points_per_second, _thousands, False),
     ]
     models = evaluation.models
-    measures = [measure for measure in measures if measure[1](models[0]) is not None]
+    measures = [measure for measure in measures if any(measure[1](model) is not None for model in models)]
     return Table(
         "averages, and speed",
         ["model", *(name for name, *_ in measures)],
@@ -140,6 +152,27 @@ def markdown(tables: list[Table]) -> str:
 
 def _markdown_row(cells: list[str]) -> str:
     return f"| {' | '.join(cells)} |"
+
+
+def latex(tables: list[Table]) -> str:
+    """Tables in LaTeX, for the package booktabs, the best of each column bold."""
+    lines: list[str] = []
+    for table in tables:
+        lines += [f"% {table.title}", rf"\begin{{tabular}}{{l{'r' * (len(table.columns) - 1)}}}", r"\toprule"]
+        lines += [_latex_row(map(_latex_text, table.columns)), r"\midrule"]
+        for name, row in zip(table.names, table.cells(), strict=True):
+            cells = (rf"\textbf{{{_latex_text(text)}}}" if best else _latex_text(text) for text, best in row)
+            lines.append(_latex_row([rf"\texttt{{{_latex_text(name)}}}", *cells]))
+        lines += [r"\bottomrule", r"\end{tabular}", ""]
+    return "\n".join(lines)
+
+
+def _latex_row(cells: Iterable[str]) -> str:
+    return " & ".join(cells) + r" \\"
+
+
+def _latex_text(text: str) -> str:
+    return text.translate(LATEX)
 
 
 def comma_separated(evaluation: Evaluation) -> str:

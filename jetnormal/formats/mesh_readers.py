@@ -24,6 +24,7 @@ from jetnormal.mesh import Mesh
 
 Rows = NDArray[Any]
 CHANNELS = ("red", "green", "blue")
+OFFSET = "jetnormal_offset"  # in the extras of a glTF asset: what was taken off its coordinates, in the cloud's axes
 _GLB_HEADER = 20  # bytes before the JSON of a .glb file
 
 
@@ -171,7 +172,7 @@ def _read_gltf(path: Path) -> Mesh:
     content = path.read_bytes()
     binary = path.suffix.lower() == ".glb"
     end = _GLB_HEADER + int.from_bytes(content[12:16], "little")
-    _check_accessors(content[_GLB_HEADER:end] if binary else content, path)
+    document = _checked(content[_GLB_HEADER:end] if binary else content, path)
     load = load_glb if binary else load_gltf
     # from memory: of a file, Python would allocate as much as the header says that there is
     found = load(io.BytesIO(content), resolver=FilePathResolver(str(path)), skip_materials=True)
@@ -184,14 +185,28 @@ def _read_gltf(path: Path) -> Mesh:
         if "faces" in found["geometry"][name]:
             meshes.append(_part(found["geometry"][name], matrix))
     joined = _joined(meshes)
-    return joined if joined.colors is None else Mesh(joined.vertices, joined.faces, to_screen(joined.colors))
+    offset = np.array(document.get("asset", {}).get("extras", {}).get(OFFSET, [0, 0, 0]), dtype=np.float64)
+    vertices = from_y_up(joined.vertices) + offset.reshape(1, 3)
+    return Mesh(vertices, joined.faces, None if joined.colors is None else to_screen(joined.colors))
 
 
-def _check_accessors(text: bytes, path: Path) -> None:
-    """Refuse arrays that have a length but no content: zeros of any amount, which no mesh of use has."""
-    for accessor in json.loads(text).get("accessors", []):
+def _checked(text: bytes, path: Path) -> dict[str, Any]:
+    """The JSON of a glTF file. Arrays that have a length but no content, zeros of any amount, are refused."""
+    document: dict[str, Any] = json.loads(text)
+    for accessor in document.get("accessors", []):
         if "bufferView" not in accessor:
             raise InputError(f"{path}: an array of it has no content (sparse or compressed glTF is not read)")
+    return document
+
+
+def to_y_up(vectors: Rows) -> Rows:
+    """Vectors (N, 3) of a frame in which z is up in glTF's, in which y is."""
+    return vectors[:, [0, 2, 1]] * [1, 1, -1]
+
+
+def from_y_up(vectors: Rows) -> Rows:
+    """The reverse of `to_y_up`."""
+    return vectors[:, [0, 2, 1]] * [1, -1, 1]
 
 
 def _part(found: dict[str, Any], matrix: Rows | None = None) -> Mesh:

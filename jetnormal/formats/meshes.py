@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from jetnormal.errors import InputError, ResourceError
 from jetnormal.formats import atomic
-from jetnormal.formats.mesh_readers import READERS, to_light
+from jetnormal.formats.mesh_readers import OFFSET, READERS, to_light, to_y_up
 from jetnormal.mesh import Mesh
 
 Rows = NDArray[Any]
+FAR = 100.0  # sizes of a mesh from the origin, from which on glTF viewers in single precision show it torn
 SINGLE_PRECISION_LOSS = 1e-5  # of a mesh's size: an error of coordinates that is worth a warning
 
 
@@ -55,7 +56,8 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
 def write_mesh(mesh: Mesh, path: str | PathLike[str], *, overwrite: bool = False) -> list[str]:
     """Writes a mesh; the file appears complete or not at all.
 
-    PLY, OBJ and OFF keep float64 coordinates. GLB keeps differences in float32 and their origin in full. STL has
+    PLY, OBJ and OFF keep float64 coordinates. GLB keeps differences in float32 and their origin in full; of a mesh far
+    from the origin, an offset is taken off that stands in the file's extras; z becomes y, which is up in glTF. STL has
     float32 and no colors.
 
     Args:
@@ -169,15 +171,25 @@ def _write_stl(mesh: Mesh, stream: BinaryIO) -> list[str]:
     return warnings
 
 
+def gltf_offset(mesh: Mesh) -> NDArray[np.float64] | None:
+    """What `write_mesh` takes off the coordinates for glTF, whose viewers have single precision; None if nothing."""
+    low, high = mesh.vertices.min(axis=0, initial=np.inf), mesh.vertices.max(axis=0, initial=-np.inf)
+    middle = (low + high) / 2
+    far = len(mesh.vertices) and np.abs(middle).max() > FAR * float((high - low).max())
+    return np.asarray(np.round(middle)) if far else None
+
+
 def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
     """glTF 2.0, binary: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
-    The axes stay those of the cloud, as in the other formats, though glTF means y by "up".
+    In glTF y is up. The cloud's z, which is up in most of them, becomes y here, and is z again when the file is read.
     """
-    origin = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2 if len(mesh.vertices) else np.zeros(3)
+    offset = gltf_offset(mesh)
+    vertices = mesh.vertices if offset is None else mesh.vertices - offset
+    origin = (vertices.min(axis=0) + vertices.max(axis=0)) / 2 if len(vertices) else np.zeros(3)
     arrays = {
-        "POSITION": (mesh.vertices - origin).astype("<f4"),
-        "NORMAL": mesh.vertex_normals().astype("<f4"),
+        "POSITION": to_y_up(vertices - origin).astype("<f4"),
+        "NORMAL": to_y_up(mesh.vertex_normals()).astype("<f4"),
     }
     if mesh.colors is not None:
         arrays["COLOR_0"] = np.pad(to_light(mesh.colors), ((0, 0), (0, 1)), constant_values=1).astype("<f4")
@@ -185,9 +197,9 @@ def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
     kinds = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
-    offset = 0
+    end = 0  # of the buffer
     for name, array in arrays.items():
-        view = {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes}
+        view = {"buffer": 0, "byteOffset": end, "byteLength": array.nbytes}
         accessor = {
             "bufferView": len(views),
             "componentType": 5125 if name == "indices" else 5126,  # uint32, float32
@@ -198,28 +210,33 @@ def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
             accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
         views.append(view)
         accessors.append(accessor)
-        offset += array.nbytes
+        end += array.nbytes
     *attributes, indices = range(len(arrays))
     primitive = {"attributes": dict(zip(arrays, attributes, strict=False)), "indices": indices, "material": 0}
+    extras = {} if offset is None else {"extras": {OFFSET: offset.tolist()}}
     document = {
-        "asset": {"version": "2.0", "generator": "jetnormal"},
+        "asset": {"version": "2.0", "generator": "jetnormal"} | extras,
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "translation": origin.tolist()}],
+        "nodes": [{"mesh": 0, "translation": to_y_up(origin[None])[0].tolist()}],
         "meshes": [{"primitives": [primitive]}],
         "materials": [{"doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.8}}],
-        "buffers": [{"byteLength": offset}],
+        "buffers": [{"byteLength": end}],
         "bufferViews": views,
         "accessors": accessors,
     }
     text = json.dumps(document).encode()
     text = text.ljust(-(-len(text) // 4) * 4)
-    sizes = np.array([len(text), offset], "<u4")
+    sizes = np.array([len(text), end], "<u4")
     stream.write(b"glTF" + np.array([2, 28 + sizes.sum()], "<u4").tobytes())
     stream.write(sizes[:1].tobytes() + b"JSON" + text + sizes[1:].tobytes() + b"BIN\0")
     for array in arrays.values():
         stream.write(array.tobytes())
-    return []
+    if offset is None:
+        return []
+    return [
+        f"glTF has single precision: {offset.tolist()} is taken off the coordinates and stands in the file's extras"
+    ]
 
 
 _WRITERS: dict[str, Callable[[Mesh, BinaryIO], list[str]]] = {

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import InputError
 from jetnormal.formats import read
+from jetnormal.formats.atomic import atomic_write
 
 TEST_LIST = "testset_all.txt"
 LIST_PREFIX = "testset_"
@@ -169,6 +171,29 @@ def read_sensors(directory: Path, name: str, count: int) -> NDArray[np.float64]:
     return sensors
 
 
+def read_normals(path: Path) -> NDArray[np.float64]:
+    """Read the normals of another program, (N, 3), which may be NaN.
+
+    Raises:
+        InputError: the file is unreadable.
+    """
+    return _read_numbers(path, columns=3, finite=False)
+
+
+def write_normals(path: Path, normals: NDArray[np.floating[Any]]) -> None:
+    """Write normals (N, 3) with six decimals; missing folders are made, an existing file is replaced.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path.parent}: cannot be created ({error.strerror}); choose another folder") from error
+    with atomic_write(path, overwrite=True) as stream:
+        np.savetxt(stream, normals, fmt="%.6f")
+
+
 def query_count(directory: Path, name: str, all_points: bool = False) -> int:
     """Number of points of a cloud that are evaluated, without parsing its files: lines of .pidx, else of .xyz.
 
@@ -194,12 +219,12 @@ def file_of(directory: Path, name: str, suffix: str) -> Path:
     return directory / f"{name}.{suffix}"
 
 
-def _read_numbers(path: Path, columns: int) -> NDArray[np.float64]:
-    """Reads a text file of finite numbers, (N, columns), N > 0."""
+def _read_numbers(path: Path, columns: int, finite: bool = True) -> NDArray[np.float64]:
+    """Reads a text file of numbers, (N, columns), N > 0, all of them finite unless said otherwise."""
     try:
         numbers = np.loadtxt(path, dtype=np.float64, ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: {error}") from error
-    if numbers.size == 0 or numbers.shape[1] != columns or not np.isfinite(numbers).all():
-        raise InputError(f"{path}: must hold {columns} finite numbers per row")
+    if numbers.size == 0 or numbers.shape[1] != columns or (finite and not np.isfinite(numbers).all()):
+        raise InputError(f"{path}: must hold {columns}{' finite' if finite else ''} numbers per row")
     return numbers

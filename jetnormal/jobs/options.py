@@ -40,6 +40,28 @@ def parse_words(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(","))
 
 
+def parse_up(text: str) -> Vector | Literal["auto"]:
+    """Turn "X,Y,Z" into three numbers; "auto" stays."""
+    return "auto" if text == "auto" else parse_vector(text)
+
+
+def parse_component(text: str) -> int | Literal["largest"]:
+    """Turn the text of `min_component` into a number of points, or "largest"."""
+    if text == "largest":
+        return "largest"
+    try:
+        return int(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is no number of points and not the word largest") from None
+
+
+def complete_model(text: str) -> list[str]:
+    """The names of models that begin with a text."""
+    from jetnormal.estimators.factory import model_names
+
+    return [name for name in model_names() if name.startswith(text)]
+
+
 @dataclass(frozen=True)
 class NormalOptions(OptionSet):
     """How normals are estimated and how their signs are chosen.
@@ -55,6 +77,7 @@ class NormalOptions(OptionSet):
             "follow a colon, as in jet:k=32,order=2.",
             metavar="NAME|FILE",
             group="Model",
+            complete=complete_model,
         ),
     ] = "auto"
     _: KW_ONLY
@@ -212,7 +235,7 @@ class SurfaceOptions(OptionSet):
         int | None,
         Option(
             "Depth of Poisson's octree, 2^D cells along a side.",
-            low=DEPTHS[0], high=DEPTHS[1], metavar="D", default="the points' spacing", group="Surface",
+            low=DEPTHS[0], high=DEPTHS[1], metavar="D", default="the points' spacing, or their noise", group="Surface",
         ),
     ] = None  # fmt: skip
     scale: Annotated[
@@ -225,10 +248,32 @@ class SurfaceOptions(OptionSet):
             low=0, high=1, metavar="Q", default="none if closed, else where the points end", group="Surface",
         ),
     ] = None  # fmt: skip
+    min_component: Annotated[
+        int | Literal["largest"] | None,
+        Option(
+            "Leave out components that fewer points belong to; largest keeps one.",
+            parse=parse_component, metavar="N|largest", default="30, or 0.2 % of the points", group="Surface",
+        ),
+    ] = None  # fmt: skip
+    smooth: Annotated[
+        int,
+        Option(
+            "Rounds of smoothing, which does not shrink (Taubin, 1995).", low=0, high=1000, metavar="N", group="Surface"
+        ),
+    ] = 0
+    faces: Annotated[
+        int | None,
+        Option(
+            "Simplify to about so many faces (Garland and Heckbert, 1997).",
+            low=4, metavar="N", default="all", group="Surface",
+        ),
+    ] = None  # fmt: skip
     recompute: Annotated[bool, Option("Estimate normals even if the cloud has some.", group="Surface")] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if isinstance(self.min_component, int) and self.min_component < 0:
+            raise UsageError(f"`min_component` is a number of points, 0 or more, not {self.min_component}")
         if self.trim == 1:
             raise UsageError("`trim` is a share below 1: nothing would be left")
 
@@ -254,18 +299,22 @@ class PreviewOptions(OptionSet):
     views: Annotated[
         tuple[str, ...],
         Option(
-            "Side by side: iso, front, back, left, right, top, bottom, or AZIMUTH:ELEVATION in degrees.",
-            parse=parse_words, metavar="V,V,...", default="auto: the side that was scanned, else iso",
+            "One or more, in a grid: iso, front, back, left, right, top, bottom, or AZIMUTH:ELEVATION in degrees.",
+            parse=parse_words, metavar="V,V,...", default="auto: where the outer sides are seen",
         ),
     ] = ("auto",)  # fmt: skip
     up: Annotated[
-        Vector, Option("Direction that is up in the views.", parse=parse_vector, metavar="X,Y,Z", default="0,0,1")
-    ] = (0.0, 0.0, 1.0)
+        Vector | Literal["auto"],
+        Option(
+            "Direction that is up in the views; auto tells it from the shape.",
+            parse=parse_up, metavar="X,Y,Z|auto", default="0,0,1",
+        ),
+    ] = (0.0, 0.0, 1.0)  # fmt: skip
     size: Annotated[int, Option("Pixels of the longer side of a view.", low=16, high=8192, metavar="N")] = 1000
     colors: Annotated[
-        tuple[Literal["auto", "normals", "file", "plain"], ...],
+        tuple[Literal["auto", "normals", "file", "confidence", "plain"], ...],
         Option(
-            "Side by side: normals, file (its own), plain, or auto: a cloud by its normals, a mesh by its own.",
+            "One or more of normals, file (its own), confidence, plain; auto: a cloud by normals, a mesh by its own.",
             parse=parse_words, metavar="C,C,...", default="auto",
         ),
     ] = ("auto",)  # fmt: skip
@@ -279,5 +328,5 @@ class PreviewOptions(OptionSet):
             raise UsageError("there must be a view and a coloring")
         for view in self.views:
             check_view(view)
-        if not (all(map(math.isfinite, self.up)) and any(self.up)):
+        if self.up != "auto" and not (all(map(math.isfinite, self.up)) and any(self.up)):
             raise UsageError("`up` takes three finite numbers, not all of them zero")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,12 @@ from jetnormal.jobs.options import PreviewOptions, ReadOptions
 from jetnormal.mesh import Mesh
 from jetnormal.rendering.light import BACKGROUNDS
 from jetnormal.rendering.scene import Scene, cloud_scene, mesh_scene
+from jetnormal.rendering.upright import guess_up
 from jetnormal.support.report import StageTimer
 
 SUPERSAMPLING = 2
 GAP = 0.03  # between views, of the size
+ROW = 3  # pictures that stand in one row; more make a square
 
 
 def preview_file(
@@ -65,7 +68,8 @@ def preview_file(
     with timer.stage("read"):
         subject = _read(source, files)
     try:
-        scenes = [_scene(subject, colors).turned_up(np.array(options.up)) for colors in options.colors]
+        up = guess_up(_places(subject)) if options.up == "auto" else np.array(options.up)
+        scenes = [_scene(subject, colors).turned_up(up) for colors in options.colors]
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     if picture is not None:
@@ -91,25 +95,51 @@ def preview_file(
 
 
 def draw(scenes: list[Scene], options: PreviewOptions) -> NDArray[np.uint8]:
-    """All views of all scenes side by side, (H, W, 3)."""
+    """All views of all scenes in a grid, (H, W, 3): a row for each scene if there are several of both."""
     from jetnormal.rendering.camera import make_camera, view_direction
     from jetnormal.rendering.light import develop
     from jetnormal.rendering.surfels import see
 
     images = []
     for scene, view in itertools.product(scenes, options.views):
-        camera = make_camera(scene.points, view_direction(view, scene.normals), options.size * SUPERSAMPLING)
+        towards = view_direction(view, scene.points, scene.normals)
+        camera = make_camera(scene.points, towards, options.size * SUPERSAMPLING)
         images.append(develop(see(scene, camera), camera, scene.radius, SUPERSAMPLING, options.background))
-    height = max(len(image) for image in images)
     background = np.round(np.array(BACKGROUNDS[options.background]) * 255).astype(np.uint8)
-    tiles = []
-    for image in images:
-        tile = np.empty((height, image.shape[1], 3), dtype=np.uint8)
-        tile[:] = background
-        top = (height - len(image)) // 2
-        tile[top : top + len(image)] = image
-        tiles += [tile, np.broadcast_to(background, (height, round(GAP * options.size), 3))]
-    return np.concatenate(tiles[:-1], axis=1)
+    return in_grid(images, _columns(len(scenes), len(options.views)), background, round(GAP * options.size))
+
+
+def _columns(scenes: int, views: int) -> int:
+    if scenes > 1 and views > 1:
+        return views
+    count = scenes * views
+    return count if count <= ROW else math.ceil(math.sqrt(count))
+
+
+def in_grid(
+    images: list[NDArray[np.uint8]], columns: int, background: NDArray[np.uint8], gap: int
+) -> NDArray[np.uint8]:
+    """Images (h, w, 3) of any sizes in one, (H, W, 3), each in the middle of its cell."""
+    rows = [images[start : start + columns] for start in range(0, len(images), columns)]
+    widths = [
+        max(row[column].shape[1] for row in rows if column < len(row)) for column in range(min(columns, len(images)))
+    ]
+    heights = [max(image.shape[0] for image in row) for row in rows]
+    picture = np.empty((sum(heights) + gap * (len(rows) - 1), sum(widths) + gap * (len(widths) - 1), 3), dtype=np.uint8)
+    picture[:] = background
+    top = 0
+    for row, height in zip(rows, heights, strict=True):
+        left = 0
+        for image, width in zip(row, widths, strict=False):
+            y, x = top + (height - image.shape[0]) // 2, left + (width - image.shape[1]) // 2
+            picture[y : y + image.shape[0], x : x + image.shape[1]] = image
+            left += width + gap
+        top += height + gap
+    return picture
+
+
+def _places(subject: Cloud | Mesh) -> NDArray[np.float64]:
+    return subject.vertices if isinstance(subject, Mesh) else subject.points[subject.valid]
 
 
 def _scene(subject: Cloud | Mesh, coloring: str) -> Scene:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError
-from jetnormal.formats.meshes import check_mesh_target, write_mesh
+from jetnormal.formats.meshes import check_mesh_target, gltf_offset, write_mesh
 from jetnormal.formats.ply import PlyExtra
 from jetnormal.jobs.estimate import MAX_COORDINATE, find_normals, prepare_estimator
 from jetnormal.jobs.files import check_format, read_file
@@ -28,6 +28,7 @@ LENGTH_TOLERANCE = 0.01  # in which the length of a unit normal may differ from 
 MAX_DISAGREEMENT = 0.1  # share of neighbors with opposite normals
 # An open surface is cut where the density falls below that of nearly all its vertices among the points.
 OPEN_TRIM_PERCENTILE = 2.0
+NOISE_CELLS = 4.0  # of the noise in a cell, by default
 FOR_NORMALS = ("model", "k", "order", "iterations", "orient", "viewpoint", "viewpoint_attribute")  # options
 
 
@@ -50,8 +51,9 @@ def reconstruct_file(
 
     Returns:
         A summary: input, output, points, normals ("file" or the model), orient (None for normals of the file),
-        depth, open, trimmed (share of the area that was cut off), vertices, faces, components, watertight, seconds
-        (by stage), peak_memory_mb (without the solver's process), warnings.
+        depth, open, trimmed (share of the area that was cut off), vertices, faces, components, watertight, offset (what
+        was taken off the coordinates for GLB, or None), seconds (by stage), peak_memory_mb (without the solver's
+        process), warnings.
 
     Raises:
         InputError: a file cannot be read or written, or as `jetnormal.reconstruct`.
@@ -69,11 +71,13 @@ def reconstruct_file(
     with timer.stage("write"):
         notes = [f"{source}: {note}" for note in cloud.source.notes]
         warnings = notes + facts.pop("warnings") + write_mesh(mesh, target, overwrite=overwrite)
+    offset = gltf_offset(mesh) if target.suffix.lower() == ".glb" else None
     return {
         "input": str(source),
         "output": str(target),
         "points": len(cloud),
         **facts,
+        "offset": offset,
         "seconds": timer.seconds,
         "peak_memory_mb": peak_memory_mb(),
         "warnings": warnings,
@@ -112,9 +116,13 @@ def reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTim
         raise InputError("the points and their normals suggest no surface; are the normals consistent?")
     with timer.stage("finish"):
         mesh, is_open, trimmed = _trimmed(Mesh(vertices, faces), density, points, options.trim)
-        mesh = surface.without_specks(surface.cleaned(mesh), points)
+        mesh = surface.without_specks(surface.cleaned(mesh), points, options.min_component)
         if not len(mesh.faces):
             raise InputError("trimming left nothing of the surface; give a smaller `trim`")
+        if options.smooth:
+            mesh = surface.smoothed(mesh, options.smooth)
+        if options.faces is not None:
+            mesh = surface.simplified(mesh, options.faces)
         colors = point_colors(cloud)
         if colors is not None:
             mesh = replace(mesh, colors=surface.carried(colors[rows], points, mesh.vertices))
@@ -182,10 +190,15 @@ def _doubts(points: NDArray[np.float64], normals: NDArray[np.float64]) -> list[s
 
 
 def _fitting_depth(points: NDArray[np.float64], scale: float) -> int:
-    """The depth at which the cells are no larger than the points, in a box of longest side 1, are apart."""
-    from jetnormal.meshing.cleanup import typical_spacing
+    """The depth at which the cells are no larger than the points, in a box of longest side 1, are apart.
 
-    return int(np.clip(np.ceil(np.log2(scale / typical_spacing(points))), *DEPTHS))
+    Where the points are noisier than that is fine, the cells are as large as four times the noise: smaller ones would
+    show the layers and bumps of a depth camera as scales.
+    """
+    from jetnormal.meshing.cleanup import typical_noise, typical_spacing
+
+    cell = max(typical_spacing(points), NOISE_CELLS * typical_noise(points))
+    return int(np.clip(np.ceil(np.log2(scale / cell)), *DEPTHS))
 
 
 def _trimmed(

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.mesh import Mesh
+from jetnormal.support.open3d_loader import import_open3d
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SUPPORT_NEIGHBORS = 8
+NOISE_NEIGHBORS = 50
+NOISE_SAMPLE = 500  # points at which the noise is measured
 GAP_RADII = 3.0  # a surface that far from all points, in neighborhood radii of the nearest, bridges a gap
 OPEN_SHARE = 0.02  # of the area that bridges gaps, from which on a surface is open
-SPECK_POINTS = 30  # a component that fewer points belong to is a speck
+SPECK_POINTS = 30  # a component that fewer points belong to is a speck,
+SPECK_SHARE = 0.002  # or one that a smaller share of all points does
 MERGE_DISTANCE = 1e-9  # of the size of the mesh: vertices as close as this are one
 
 
@@ -28,6 +33,24 @@ def typical_spacing(points: Floats) -> float:
     k = min(SUPPORT_NEIGHBORS, len(points) - 1)
     _, distances = NeighborIndex(points).query(points, k + 1)
     return float(np.median(distances[:, -1])) * float(np.sqrt(np.pi / k))
+
+
+def typical_noise(points: Floats) -> float:
+    """Measure how far points (N, 3), N > 7, are typically off a smooth surface: off a quadric through their neighbors.
+
+    The neighbors are many, for those of a depth camera next to each other are in one layer of its quantized depths.
+    """
+    k = min(NOISE_NEIGHBORS, len(points))
+    sample = np.random.default_rng(0).permutation(len(points))[:NOISE_SAMPLE]
+    neighbors, _ = NeighborIndex(points).query(points[sample], k)
+    patches = points[neighbors] - points[neighbors].mean(axis=1, keepdims=True)
+    axes = np.linalg.svd(patches, full_matrices=False)[2]
+    u, v, height = np.moveaxis(np.einsum("nkd,ned->nke", patches, axes), 2, 0)
+    size = np.maximum(np.sqrt((u * u + v * v).mean(axis=1, keepdims=True)), 1e-300)
+    u, v = u / size, v / size
+    basis = np.linalg.qr(np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2))[0]
+    rest = height - np.einsum("nkm,nm->nk", basis, np.einsum("nkm,nk->nm", basis, height))
+    return float(np.median(np.sqrt((rest * rest).sum(axis=1) / (k - 6))))
 
 
 def remoteness(vertices: Floats, points: Floats) -> Floats:
@@ -95,15 +118,45 @@ def cleaned(mesh: Mesh) -> Mesh:
     return _without_loose_vertices(Mesh(vertices, faces[np.sort(first)], colors))
 
 
-def without_specks(mesh: Mesh, points: Floats) -> Mesh:
-    """Remove components that are nearest to fewer than 30 of the points (N, 3); the largest one stays."""
+def without_specks(mesh: Mesh, points: Floats, least: int | Literal["largest"] | None = None) -> Mesh:
+    """Remove small components; the largest one stays.
+
+    Args:
+        mesh: the mesh.
+        points: (N, 3); a component has those that are nearest to it.
+        least: number of points of the smallest component that stays; None takes 30 or 0.2 % of the points.
+    """
     labels = component_labels(mesh)
     if not len(labels):
         return mesh
     nearest, _ = NeighborIndex(mesh.vertices).query(points, 1)
     belonging = np.bincount(labels[nearest[:, 0]], minlength=labels.max() + 1)
-    keep = belonging >= min(SPECK_POINTS, belonging.max())
+    if least == "largest":
+        keep = np.arange(len(belonging)) == belonging.argmax()
+    else:
+        least = max(SPECK_POINTS, round(SPECK_SHARE * len(points))) if least is None else least
+        keep = belonging >= min(least, belonging.max())
     return _without_loose_vertices(replace(mesh, faces=mesh.faces[keep[labels[mesh.faces[:, 0]]]]))
+
+
+def smoothed(mesh: Mesh, rounds: int) -> Mesh:
+    """The mesh without colors after rounds of smoothing that does not shrink it (Taubin, SIGGRAPH 1995)."""
+    found = _to_open3d(mesh).filter_smooth_taubin(number_of_iterations=rounds)
+    return Mesh(np.array(found.vertices), mesh.faces)
+
+
+def simplified(mesh: Mesh, faces: int) -> Mesh:
+    """The mesh without colors and with about so many faces, where it has more (Garland and Heckbert, SIGGRAPH 1997)."""
+    if len(mesh.faces) <= faces:
+        return mesh
+    found = _to_open3d(mesh).simplify_quadric_decimation(faces)
+    return cleaned(Mesh(np.array(found.vertices), np.array(found.triangles, dtype=np.int64)))
+
+
+def _to_open3d(mesh: Mesh) -> Any:
+    open3d: Any = import_open3d()
+    vertices = open3d.utility.Vector3dVector(mesh.vertices)
+    return open3d.geometry.TriangleMesh(vertices, open3d.utility.Vector3iVector(mesh.faces.astype(np.int32)))
 
 
 def _without_loose_vertices(mesh: Mesh) -> Mesh:

@@ -25,6 +25,12 @@ ONE_SIDED = 0.35  # length of the mean normal from which on a surface is seen fr
 FIELD_OF_VIEW = np.deg2rad(28)
 MARGIN = 0.05  # of the picture, on each side
 OUTLIERS = 0.05  # percent of the points that may fall outside the picture, on each side
+FRONTS = 0.8  # share of outer sides with which the usual view is good enough
+ELEVATIONS = (20.0, 40.0)  # degrees over the horizon, and
+AZIMUTHS = 24  # directions around the object, from which the most interesting view is chosen
+TRIAL_POINTS = 5000  # by which views are compared,
+TRIAL_CELLS = 40  # on a grid of so many cells at most,
+CROWD = 8  # with so many points each on average
 FLATTEST, SLIMMEST = 0.5, 2.0  # height over width of a picture
 
 
@@ -110,12 +116,13 @@ def _angles(view: str) -> tuple[float, float]:
     raise UsageError(f"{view!r} is no view; choose from {names}, or AZIMUTH:ELEVATION in degrees")
 
 
-def view_direction(view: str, normals: Floats) -> Floats:
+def view_direction(view: str, points: Floats, normals: Floats) -> Floats:
     """From the object to the camera (3,).
 
     Args:
         view: a name in `VIEWS`; AZIMUTH:ELEVATION in degrees, 0:0 being the front and 90:0 the right; or "auto":
-            what was scanned from one side is seen from there, everything else as in "iso".
+            what was scanned from one side is seen from there, everything else from where it shows its outer sides.
+        points: (N, 3) of the scene.
         normals: (N, 3) of the scene, zero where unknown.
 
     Raises:
@@ -126,7 +133,7 @@ def view_direction(view: str, normals: Floats) -> Floats:
     if view == "auto":
         mean = normals[normals.any(axis=1)].mean(axis=0) if normals.any() else np.zeros(3)
         if np.linalg.norm(mean) < ONE_SIDED:
-            return np.array(VIEWS["iso"])
+            return _outer_side(points, normals)
         right, up, towards = camera_axes(mean)
         return towards + 0.35 * right + 0.30 * up
     azimuth, elevation = _angles(view)
@@ -147,3 +154,56 @@ def camera_axes(towards: Floats) -> Floats:
     right = np.cross(up, towards)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(towards, right), towards])
+
+
+def _outer_side(points: Floats, normals: Floats) -> Floats:
+    """The direction as in "iso" if that shows outer sides; else the one of a few that shows most of them."""
+    step = max(1, len(points) // TRIAL_POINTS)
+    x, y, z = VIEWS["iso"]
+    directions = [np.array(one) for one in ((x, y, z), (-x, y, z), (x, -y, z), (-x, -y, z), (x, y, -z), VIEWS["top"])]
+    shares = [_share_of_fronts(points[::step], normals[::step], towards) for towards in directions]
+    return directions[0] if shares[0] > FRONTS else directions[int(np.argmax(shares))]
+
+
+def _share_of_fronts(points: Floats, normals: Floats, towards: Floats) -> float:
+    """Of the points that are seen first, the share whose normal looks to the camera."""
+    axes = camera_axes(towards)
+    cells = min(TRIAL_CELLS, int(np.sqrt(len(points) / CROWD)) + 1)  # so many points hide what is behind them
+    front = _foremost(points @ axes.T, cells)
+    return float((normals[front] @ axes[2] >= 0).mean())
+
+
+def interesting_direction(points: Floats, normals: Floats) -> Floats:
+    """From the object to the camera (3,), where most is to be seen.
+
+    That is where the visible surface faces many directions (by entropy) and fills the picture.
+
+    Args:
+        points: (N, 3), of the scene.
+        normals: (N, 3) of the scene.
+    """
+    step = max(1, len(points) // TRIAL_POINTS)
+    directions = []
+    for elevation in np.deg2rad(ELEVATIONS):
+        for turn in np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS:
+            around = np.array([np.sin(turn), -np.cos(turn), 0])
+            directions.append(np.cos(elevation) * around + np.sin(elevation) * np.array([0, 0, 1.0]))
+    return max(directions, key=lambda towards: _interest(points[::step] @ camera_axes(towards).T, normals[::step]))
+
+
+def _interest(seen: Floats, normals: Floats) -> float:
+    """How much a view shows of points (N, 3) in the camera's axes, whose normals (N, 3) may be in any."""
+    front = _foremost(seen, TRIAL_CELLS)
+    facing = np.round(1.2 * normals[front]).astype(int) @ [9, 3, 1]  # 26 directions
+    share = np.unique(facing, return_counts=True)[1] / len(front)
+    entropy = -(share * np.log(share)).sum()
+    filled = np.sqrt(len(front)) / TRIAL_CELLS
+    return float(entropy * filled)
+
+
+def _foremost(seen: Floats, cells: int) -> NDArray[np.int64]:
+    """The points that are in front on a grid of so many cells a side, of points (N, 3) in the camera's axes."""
+    span = np.maximum(np.ptp(seen[:, :2], axis=0), 1e-9 * max(1e-300, float(np.abs(seen).max())))
+    cell = ((seen[:, :2] - seen[:, :2].min(axis=0)) / span.max() * cells).astype(int) @ [cells + 1, 1]
+    order = np.lexsort((-seen[:, 2], cell))
+    return order[np.r_[True, np.diff(cell[order]) > 0]]

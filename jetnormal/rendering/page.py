@@ -1,8 +1,8 @@
 """A web page in one file, in which a cloud or a mesh turns; WebGL 2 and nothing else.
 
 Places take 16 bits a coordinate, normals two bytes in octahedral coding (Meyer et al., "On floating-point normal
-vectors", 2010) and colors three. Clouds of more than 250,000 points are subsampled, meshes of more than 180,000 faces
-simplified, so that a page stays below 5 MB.
+vectors", 2010), colors three and a confidence one. Clouds of more than 250,000 points are subsampled, meshes of more
+than 180,000 faces simplified, so that a page stays below 5 MB.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from jetnormal.errors import ResourceError
 from jetnormal.rendering.camera import camera_axes, view_direction
 from jetnormal.rendering.light import BACKGROUNDS
-from jetnormal.rendering.scene import Scene, unit
+from jetnormal.rendering.scene import CLAY, SURE, UNSURE, Scene, unit
 from jetnormal.rendering.surfels import DISK_RADIUS, spacing
 from jetnormal.support.open3d_loader import import_open3d
 
@@ -42,13 +42,14 @@ def encode_page(scene: Scene, title: str, view: str, background: str) -> bytes:
         ResourceError: the scene is a mesh that must be simplified, and Open3D is not there.
     """
     shown = _counts(scene)
-    turn = camera_axes(view_direction(view, scene.normals))
+    turn = camera_axes(view_direction(view, scene.points, scene.normals))
     scene = _subsampled(scene) if scene.faces is None else _simplified(scene)
     radius = max(float(np.linalg.norm(scene.points, axis=1).max()), 1e-12)
     parts = [
         np.round(scene.points / radius * 32767).astype("<i2"),
         encode_octahedral(scene.normals),
-        np.round(np.clip(scene.colors, 0, 1) * 255).astype("u1"),
+        _bytes(np.tile(CLAY, (len(scene.points), 1)) if scene.own is None else scene.own),
+        _bytes(np.ones(len(scene.points)) if scene.confidence is None else scene.confidence),
     ]
     if scene.faces is not None:
         # indices begin at a multiple of 4 bytes only in a buffer of their own, which the page makes
@@ -57,10 +58,15 @@ def encode_page(scene: Scene, title: str, view: str, background: str) -> bytes:
         "vertices": len(scene.points),
         "faces": 0 if scene.faces is None else len(scene.faces),
         "normals": bool(scene.normals.any()),
+        "colorings": _colorings(scene),
+        "coloring": scene.coloring,
         "shown": shown if _counts(scene) == shown else f"{shown}, {_counts(scene)} shown",
         "splat": DISK_RADIUS * spacing(scene.points) / radius if scene.faces is None else 0,
         "turn": turn.ravel().tolist(),
         "background": BACKGROUNDS[background],
+        "clay": CLAY,
+        "sure": SURE.tolist(),
+        "unsure": UNSURE.tolist(),
     }
     red, green, blue = (round(255 * value) for value in BACKGROUNDS[background])
     fields = {
@@ -81,6 +87,20 @@ def encode_octahedral(normals: NDArray[np.float64]) -> NDArray[np.int8]:
     return np.round(folded * 127).astype(np.int8)
 
 
+def _colorings(scene: Scene) -> list[str]:
+    """What a scene can be colored by."""
+    present = {
+        "normals": scene.normals.any(),
+        "file": scene.own is not None,
+        "confidence": scene.confidence is not None,
+    }
+    return [*(name for name, there in present.items() if there), "plain"]
+
+
+def _bytes(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    return np.round(np.clip(values, 0, 1) * 255).astype("u1")
+
+
 def _counts(scene: Scene) -> str:
     if scene.faces is None:
         return f"{len(scene.points):,} points"
@@ -91,7 +111,10 @@ def _subsampled(scene: Scene) -> Scene:
     if len(scene.points) <= MAX_POINTS:
         return scene
     rows = np.sort(np.random.default_rng(SEED).permutation(len(scene.points))[:MAX_POINTS])
-    return Scene(scene.points[rows], scene.normals[rows], scene.colors[rows])
+    own = None if scene.own is None else scene.own[rows]
+    confidence = None if scene.confidence is None else scene.confidence[rows]
+    parts = scene.points[rows], scene.normals[rows], scene.colors[rows]
+    return Scene(*parts, coloring=scene.coloring, own=own, confidence=confidence)
 
 
 def _simplified(scene: Scene) -> Scene:
@@ -106,11 +129,14 @@ def _simplified(scene: Scene) -> Scene:
         open3d.utility.Vector3dVector(scene.points), open3d.utility.Vector3iVector(scene.faces.astype(np.int32))
     )
     mesh.vertex_normals = open3d.utility.Vector3dVector(scene.normals)
-    mesh.vertex_colors = open3d.utility.Vector3dVector(scene.colors)
+    mesh.vertex_colors = open3d.utility.Vector3dVector(scene.colors if scene.own is None else scene.own)
     mesh = mesh.simplify_quadric_decimation(MAX_FACES)
+    colors = np.asarray(mesh.vertex_colors)
     return Scene(
         np.asarray(mesh.vertices),
         unit(np.asarray(mesh.vertex_normals)),
-        np.asarray(mesh.vertex_colors),
+        colors,
         np.asarray(mesh.triangles).astype(np.int64),
+        coloring=scene.coloring,
+        own=None if scene.own is None else colors,
     )

@@ -14,9 +14,11 @@ from jetnormal.mesh import Mesh
 
 Floats = NDArray[np.float64]
 
-COLORINGS = ("auto", "normals", "file", "plain")
 CLAY = (0.80, 0.77, 0.72)
+UNSURE, SURE = np.array([0.80, 0.15, 0.10]), np.array([0.25, 0.60, 0.85])  # colors of confidence 0 and 1
 SHARP_DEGREES = 40.0  # by which the normals of a face and of its vertex differ at a sharp edge
+ROUGH_DEGREES = 15.0, 60.0  # between neighboring faces of a rough surface; edges that are meant have more
+ROUGH_SHARE = 0.25  # of such edges, from which on a mesh has no edges that are meant
 SLIVER = 0.3  # area of a face over the mean around it, below which it makes no edge
 
 
@@ -29,12 +31,18 @@ class Scene:
         normals: (N, 3) unit vectors, zero where unknown.
         colors: (N, 3) from 0 to 1 (sRGB).
         faces: (F, 3) int64, or None for a cloud.
+        coloring: what the colors are: "normals", "file", "confidence" or "plain".
+        own: (N, 3) colors of the file, or None.
+        confidence: (N,) from 0 to 1, or None.
     """
 
     points: Floats
     normals: Floats
     colors: Floats
     faces: NDArray[np.int64] | None = None
+    coloring: str = "plain"
+    own: Floats | None = None
+    confidence: Floats | None = None
 
     def turned_up(self, up: Floats) -> Scene:
         """The scene, turned by the smallest rotation that brings direction `up` (3,) to z; colors stay."""
@@ -57,7 +65,8 @@ def cloud_scene(cloud: Cloud, coloring: str = "auto") -> Scene:
 
     Args:
         cloud: the cloud.
-        coloring: "normals", "file" (the cloud's own), "plain", or "auto": by normals if it has some, else its own.
+        coloring: "normals", "file" (the cloud's own), "confidence" (red is unsure, the attribute of that name),
+            "plain", or "auto": by normals if it has some, else its own.
 
     Raises:
         InputError: there is nothing to draw, or no such colors.
@@ -71,42 +80,80 @@ def cloud_scene(cloud: Cloud, coloring: str = "auto") -> Scene:
         coloring = "normals" if cloud.normals is not None else "file" if own is not None else "plain"
     if coloring == "normals" and cloud.normals is None:
         raise InputError("has no normals to color by; jetnormal estimate adds them")
-    return _scene(cloud.points[rows], normals, None if own is None else own[rows], coloring)
+    confidence = cloud.attributes.get("confidence")
+    scene = Scene(
+        _centered(cloud.points[rows]),
+        normals,
+        normals,
+        own=None if own is None else own[rows],
+        confidence=None if confidence is None else np.clip(np.nan_to_num(confidence[rows].astype(np.float64)), 0, 1),
+    )
+    return _colored(scene, coloring)
 
 
 def mesh_scene(mesh: Mesh, coloring: str = "auto") -> Scene:
     """A mesh to be drawn, colored as in `cloud_scene`, but "auto" takes its own colors, else none.
 
-    Corners keep the normal of their face where that of the vertex is far from it: edges stay sharp.
+    Corners keep the normal of their face where that of the vertex is far from it, so that edges stay sharp; but a rough
+    surface, such as that of a scan, is shaded smoothly all over.
     """
     own = mesh.colors
     if coloring == "auto":
         coloring = "file" if own is not None else "plain"
     faces, vertices, normals = mesh.faces, mesh.vertices, mesh.vertex_normals()
-    area = mesh.area_vectors()
-    size, face_normals = np.linalg.norm(area, axis=1), unit(area)
-    total, count = (np.bincount(faces.ravel(), weights, len(vertices)) for weights in (np.repeat(size, 3), None))
-    around = total[faces] / count[faces]  # mean area of the faces at each corner
-    sharp = np.einsum("fcd,fd->fc", normals[faces], face_normals) < np.cos(np.deg2rad(SHARP_DEGREES))
-    sharp &= size[:, None] > SLIVER * around  # slivers have unsure normals
+    sharp = _sharp_corners(mesh, normals)
     extra = faces[sharp]  # vertices of their own for the corners at sharp edges
     faces = faces.copy()
     faces[sharp] = len(vertices) + np.arange(len(extra))
-    normals = np.concatenate([normals, np.repeat(face_normals, 3, axis=0).reshape(*sharp.shape, 3)[sharp]])
-    if own is not None:
-        own = np.concatenate([own, own[extra]])
-    scene = _scene(np.concatenate([vertices, vertices[extra]]), normals, own, coloring)
-    return Scene(scene.points, scene.normals, scene.colors, faces)
+    own_normals = np.repeat(unit(mesh.area_vectors()), 3, axis=0).reshape(*sharp.shape, 3)[sharp]
+    points = np.concatenate([vertices, vertices[extra]])
+    normals = np.concatenate([normals, own_normals])
+    own = None if own is None else np.concatenate([own, own[extra]])
+    return _colored(Scene(_centered(points), normals, normals, faces, own=own), coloring)
 
 
-def _scene(points: Floats, normals: Floats, own: Floats | None, coloring: str) -> Scene:
-    if coloring == "file" and own is None:
+def _sharp_corners(mesh: Mesh, normals: Floats) -> NDArray[np.bool_]:
+    """(F, 3) bool: corners at which the normal of the face is far from that of the vertex, given normals (V, 3)."""
+    faces, area = mesh.faces, mesh.area_vectors()
+    size, face_normals = np.linalg.norm(area, axis=1), unit(area)
+    if _is_rough(faces, face_normals):
+        return np.zeros(faces.shape, dtype=bool)
+    total, count = (np.bincount(faces.ravel(), weights, len(normals)) for weights in (np.repeat(size, 3), None))
+    around = total[faces] / count[faces]  # mean area of the faces at each corner
+    sharp = np.einsum("fcd,fd->fc", normals[faces], face_normals) < np.cos(np.deg2rad(SHARP_DEGREES))
+    return np.asarray(sharp & (size[:, None] > SLIVER * around))  # slivers have unsure normals
+
+
+def _is_rough(faces: NDArray[np.int64], face_normals: Floats) -> bool:
+    """Whether many neighboring faces meet at angles as noise makes them."""
+    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort(edges.T)
+    paired = (edges[order[:-1]] == edges[order[1:]]).all(axis=1)
+    first, second = owner[order[:-1]][paired], owner[order[1:]][paired]
+    if not len(first):
+        return False
+    angle = np.rad2deg(np.arccos(np.clip(np.einsum("ed,ed->e", face_normals[first], face_normals[second]), -1, 1)))
+    low, high = ROUGH_DEGREES
+    return bool(((angle > low) & (angle < high)).mean() > ROUGH_SHARE)
+
+
+def _colored(scene: Scene, coloring: str) -> Scene:
+    if coloring == "file" and scene.own is None:
         raise InputError("has no colors of its own")
+    if coloring == "confidence" and scene.confidence is None:
+        raise InputError("has no attribute confidence; jetnormal estimate adds it with `confidence`")
     if coloring == "normals":
-        colors = normal_colors(normals)
+        colors = normal_colors(scene.normals)
+    elif coloring == "confidence" and scene.confidence is not None:
+        colors = UNSURE + scene.confidence[:, None] * (SURE - UNSURE)
     else:
-        colors = np.tile(CLAY, (len(points), 1)) if coloring == "plain" or own is None else own
-    return Scene(points - (points.min(axis=0) + points.max(axis=0)) / 2, normals, colors)
+        colors = scene.own if coloring == "file" and scene.own is not None else np.tile(CLAY, (len(scene.points), 1))
+    return replace(scene, colors=colors, coloring=coloring)
+
+
+def _centered(points: Floats) -> Floats:
+    return points - (points.min(axis=0) + points.max(axis=0)) / 2
 
 
 def unit(vectors: Floats) -> Floats:

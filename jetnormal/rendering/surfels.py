@@ -36,12 +36,14 @@ class Surfels:
         normals: (H, W, 3) float32 unit vectors, zero where unknown.
         colors: (H, W, 3) float32, from 0 to 1 (sRGB).
         back: (H, W) bool, where the inner side of a surface is seen.
+        index: (H, W) int64, the point of a cloud, or the face of a mesh, that is in front; -1 where there is nothing.
     """
 
     depth: Floats
     normals: Floats
     colors: Floats
     back: NDArray[np.bool_]
+    index: NDArray[np.int64]
 
 
 def see(scene: Scene, camera: Camera) -> Surfels:
@@ -82,8 +84,11 @@ def _splat(scene: Scene, camera: Camera) -> Surfels:
         np.minimum.at(front, pixel, fragment_depth)
     values = np.concatenate([np.ones((len(depth), 1)), normals, scene.colors], axis=1).astype(np.float32)
     sums = np.zeros((7, count))
+    index = np.full(count, -1)
     for rows, offsets in chunks:
         pixel, fragment_depth, weight, owner = _fragments(disks, rows, offsets, camera)
+        foremost = fragment_depth == front[pixel]
+        index[pixel[foremost]] = owner[foremost]
         seen = fragment_depth <= front[pixel] + BLEND_DEPTH * radius
         pixel, weight, owner = pixel[seen], weight[seen], owner[seen]
         if not len(pixel):
@@ -96,7 +101,8 @@ def _splat(scene: Scene, camera: Camera) -> Surfels:
     length = np.linalg.norm(mean[..., :3], axis=2, keepdims=True)
     unit = np.where(length > 1e-6, mean[..., :3] / np.where(length > 1e-6, length, 1), 0)
     sight = camera.rays() / np.linalg.norm(camera.rays(), axis=2, keepdims=True)
-    return Surfels(front.reshape(shape), unit, mean[..., 3:], (unit * sight).sum(axis=2) > TURNED_AWAY)
+    back = (unit * sight).sum(axis=2) > TURNED_AWAY
+    return Surfels(front.reshape(shape), unit, mean[..., 3:], back, index.reshape(shape))
 
 
 def spacing(points: NDArray[np.float64]) -> float:
@@ -161,7 +167,8 @@ def _cast(scene: Scene, camera: Camera) -> Surfels:
     hits = caster.cast_rays(open3d.core.Tensor.from_numpy(rays.astype(np.float32)))
     depth = hits["t_hit"].numpy()
     hit = np.isfinite(depth)
-    corners = scene.faces[hits["primitive_ids"].numpy()[hit]]
+    index = np.where(hit, hits["primitive_ids"].numpy().astype(np.int64), -1)
+    corners = scene.faces[index[hit]]
     u, v = hits["primitive_uvs"].numpy()[hit].T
     weights = np.stack([1 - u - v, u, v], axis=1)[:, None]
     normals, colors = (np.zeros((*depth.shape, 3), dtype=np.float32) for _ in range(2))
@@ -170,4 +177,4 @@ def _cast(scene: Scene, camera: Camera) -> Surfels:
     length = np.linalg.norm(mixed, axis=1, keepdims=True)
     normals[hit] = mixed / np.where(length > 0, length, 1)
     colors[hit] = (weights @ scene.colors[corners])[:, 0]
-    return Surfels(depth, normals, colors, back)
+    return Surfels(depth, normals, colors, back, index)

@@ -15,7 +15,7 @@ import dataclasses
 import math
 import numbers
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -40,6 +40,7 @@ class Option:
         group: heading in the help.
         parse: turns the text of the command line into the value; raises ValueError with a message for the user.
         flag: whether the command line has it; a recipe always does.
+        complete: values that begin with a text, for the completion of the shell.
     """
 
     help: str
@@ -51,6 +52,7 @@ class Option:
     group: str | None = None
     parse: Callable[[str], Any] | None = None
     flag: bool = True
+    complete: Callable[[str], Iterable[str]] | None = None
 
 
 @dataclass(frozen=True)

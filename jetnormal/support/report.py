@@ -17,6 +17,7 @@ logger = logging.getLogger("jetnormal")
 
 JSON_SCHEMA = 1  # raised when a field is renamed, removed or changes its meaning; new fields may come at any time
 JSON_DIGITS = 6  # significant
+NOTEBOOK_LEAST = 20_000  # units of work, below which a notebook shows no bar
 LOG_INTERVAL = 10.0  # seconds between the progress lines of a job that no terminal watches
 
 
@@ -58,7 +59,7 @@ def progress(description: str, total: int, unit: str = "points") -> Iterator[Adv
 
     On a terminal this is a bar that vanishes when done, elsewhere a log line every ten seconds. Nothing is
     shown where the package does not log information: under `-q`, and in programs that use it as a library; nor
-    within another loop that is shown.
+    within another loop that is shown. But a notebook has the bar for long work.
 
     Args:
         description: what is being done, such as "estimating normals".
@@ -66,17 +67,25 @@ def progress(description: str, total: int, unit: str = "points") -> Iterator[Adv
         unit: plural name of what is counted.
     """
     global _shown
-    if _shown or not logger.isEnabledFor(logging.INFO):
+    in_notebook = _in_notebook()
+    wanted = logger.isEnabledFor(logging.INFO) or (in_notebook and total >= NOTEBOOK_LEAST)
+    if _shown or not wanted:
         yield lambda count, note="": None
         return
     _shown = True
     try:
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() or in_notebook:
             yield from _bar(description, total, unit)
         else:
             yield _log_lines(description, total, unit)
     finally:
         _shown = False
+
+
+def _in_notebook() -> bool:
+    """Whether the caller is a cell of Jupyter or of something like it."""
+    ipython: Any = sys.modules.get("IPython")
+    return ipython is not None and type(ipython.get_ipython()).__name__ == "ZMQInteractiveShell"
 
 
 def _bar(description: str, total: int, unit: str) -> Iterator[Advance]:

@@ -98,7 +98,7 @@ def test_an_existing_folder_is_replaced_only_if_asked_and_only_if_it_is_such_a_s
     folder.mkdir()
     write_dataset(folder, SMALL, solids=2)  # an empty one is taken
     before = content(folder)
-    with pytest.raises(InputError, match="out: already exists; use --force"):
+    with pytest.raises(InputError, match="out: already exists; use `overwrite`"):
         write_dataset(folder, SMALL, solids=1)
     assert content(folder) == before
     write_dataset(folder, SMALL, solids=1, overwrite=True)

@@ -7,8 +7,9 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.image import imread
 
+from jetnormal import evaluate
 from jetnormal.errors import InputError, UsageError
-from jetnormal.evaluation import evaluate, plots
+from jetnormal.evaluation import plots
 from jetnormal.evaluation.curves import draw_good_points, draw_z_angles
 from jetnormal.evaluation.heatmaps import draw_heatmaps
 from jetnormal.evaluation.plots import check_plots, write_plots
@@ -36,6 +37,17 @@ def test_pictures_have_names_that_tell_what_they_show(clouds, tmp_path, write_sp
         assert imread(path).std() > 0.01
 
 
+@pytest.mark.parametrize(("suffix", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_figures_for_print_are_the_same_bytes_each_time(clouds, tmp_path, turned, suffix, start):
+    evaluation = evaluate(clouds, [turned(3.0)])
+    contents = []
+    for folder in ("one", "two"):
+        paths = write_plots(evaluation, tmp_path / folder, suffix, up=(0, 0, 1))
+        assert [path.name for path in paths] == [f"good_points.{suffix}", f"heatmap_ball.{suffix}"]
+        contents.append([path.read_bytes() for path in paths])
+    assert contents[0] == contents[1] and all(content.startswith(start) for content in contents[0])
+
+
 def test_curves_are_those_of_the_evaluation(clouds, turned):
     evaluation = evaluate(clouds, [turned(8.0, "good"), turned(14.0, "bad")])
     figure = draw_good_points(evaluation)
@@ -57,7 +69,7 @@ def test_heatmaps_have_a_row_per_model_with_its_errors_as_colors(clouds, turned)
     assert [panel.get_xlabel() for panel in panels] == ["0.00°", "30.00°", "0.00°", "60.00°"]
     colors = []
     for panel in panels:
-        image = np.asarray(panel.images[0].get_array())
+        image = np.asarray(panel.images[0].get_array()) / 255
         colors.append(np.median(image[image.min(axis=2) < 0.9], axis=0).argmax())
     assert colors == [2, 1, 2, 0]  # blue, green, blue, red
 

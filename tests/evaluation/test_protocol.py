@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from jetnormal import evaluate
 from jetnormal.errors import InputError, ModelError, UsageError
-from jetnormal.evaluation import evaluate
 
 
 def test_rmse_is_the_angle_by_which_the_normals_are_turned(tmp_path, write_sphere, turned):
@@ -147,5 +147,53 @@ def test_unusable_models_and_settings_are_refused(folder):
         evaluate(folder, ["pca", "jet", "pca"])
     with pytest.raises(ModelError, match="absent"):
         evaluate(folder, ["absent"])
-    with pytest.raises(UsageError, match="no orientation 'sideways'"):
+    with pytest.raises(UsageError, match="orient is one of none, global, mst, viewpoint, up, not 'sideways'"):
         evaluate(folder, ["pca"], orient="sideways")
+
+
+@pytest.fixture
+def ball(tmp_path, write_sphere):
+    """A folder with a sphere, of which every second point is evaluated."""
+    write_sphere(tmp_path, "ball", count=800, queries=range(0, 800, 2))
+    return tmp_path
+
+
+def test_normals_of_another_program_are_scored_beside_ours(ball, turned, tmp_path_factory):
+    theirs = tmp_path_factory.mktemp("theirs")
+    true = np.loadtxt(ball / "ball.normals")
+    for rows in (true, true[::2]):  # of all points, or of those evaluated
+        np.savetxt(theirs / "ball.normals", rows * [1, 1, -1])
+        found = evaluate(ball, [turned(3.0)], normals=(f"theirs={theirs}",), orient="mst")
+        assert [one.model for one in found.models] == ["turned", "theirs"]
+        expected = np.degrees(np.arccos(np.abs((true[::2] * (true[::2] * [1, 1, -1])).sum(axis=1))))
+        _, other = found.models
+        assert other.average.rmse == pytest.approx(np.sqrt(np.mean(expected**2)), abs=1e-3)
+        assert 0.5 <= other.average.sign_accuracy < 0.8  # its own signs, not ours
+        assert other.seconds is None and other.points_per_second is None
+    alone = evaluate(ball, [], normals=(f"theirs={theirs}",))
+    assert json.loads(json.dumps(alone.summary()))["models"][0]["seconds"] is None
+
+
+def test_normals_of_another_program_that_do_not_fit_are_named(ball, tmp_path):
+    with pytest.raises(InputError, match="nowhere: no such folder"):
+        evaluate(ball, ["pca"], normals=("theirs=nowhere",))
+    with pytest.raises(UsageError, match="NAME=DIR"):
+        evaluate(ball, ["pca"], normals=("theirs",))
+    with pytest.raises(UsageError, match="pca is given twice"):
+        evaluate(ball, ["pca"], normals=(f"pca={ball}",))
+    other = tmp_path / "other"
+    other.mkdir()
+    with pytest.raises(InputError, match=r"other/ball\.normals"):
+        evaluate(ball, [], normals=(f"theirs={other}",))
+    np.savetxt(other / "ball.normals", np.eye(3))
+    with pytest.raises(InputError, match=r"ball\.normals: 3 rows for 800 points, 400 of them evaluated"):
+        evaluate(ball, [], normals=(f"theirs={other}",))
+
+
+def test_exported_normals_are_scored_alike(ball, turned, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("export") / "new"
+    first = evaluate(ball, [turned(5.0, "runs/own:k=3")], export_normals=folder)
+    (made,) = folder.iterdir()
+    assert made.name == "runs_own_k=3" and [path.name for path in made.iterdir()] == ["ball.normals"]
+    again = evaluate(ball, [], normals=(f"exported={made}",))
+    assert again.models[0].average.rmse == pytest.approx(first.models[0].average.rmse, abs=1e-3)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from jetnormal import evaluate
 from jetnormal.errors import InputError
-from jetnormal.evaluation import evaluate
 from jetnormal.evaluation.store import Estimate, ResultStore
 from jetnormal.networks.checkpoint import save_model
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig

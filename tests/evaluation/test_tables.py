@@ -5,8 +5,8 @@ import io
 
 import pytest
 
-from jetnormal.evaluation import evaluate
-from jetnormal.evaluation.tables import comma_separated, make_tables, markdown, print_tables
+from jetnormal import evaluate
+from jetnormal.evaluation.tables import comma_separated, latex, make_tables, markdown, print_tables
 
 
 @pytest.fixture
@@ -57,6 +57,18 @@ def test_markdown_marks_the_best(evaluation):
     assert lines[3] == "|---|---:|---:|---:|---:|---:|---:|---:|"
     assert lines[4] == "| `coarse` | 4.00 | 8.00 | 10.00 | 12.00 | 14.00 | 16.00 | 10.67 |"
     assert lines[5].startswith("| `fine` | **2.00** | **4.00** |")
+
+
+def test_latex_marks_the_best_and_escapes_names(folder, turned):
+    lines = latex(make_tables(evaluate(folder, [turned(2.0, "a_b/50%"), turned(1.0, "fine")]))).splitlines()
+    assert lines[1:4] == [
+        r"\begin{tabular}{lrrrrrrr}", r"\toprule",
+        r"model & none & low & medium & high & gradient & striped & average \\",
+    ]  # fmt: skip
+    assert lines[5] == r"\texttt{a\_b/50\%} & 4.00 & 8.00 & 10.00 & 12.00 & 14.00 & 16.00 & 10.67 \\"
+    assert lines[6].startswith(r"\texttt{fine} & \textbf{2.00} & \textbf{4.00}")
+    assert sum(line == r"\end{tabular}" for line in lines) == 4
+    assert any(r"median (\textdegree{})" in line for line in lines)
 
 
 def test_csv_has_a_row_per_cloud_category_and_average(evaluation):

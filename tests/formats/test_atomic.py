@@ -53,7 +53,7 @@ def test_a_full_disk_says_so(tmp_path):
 def test_an_existing_file_needs_force(tmp_path):
     path = tmp_path / "out.bin"
     path.write_bytes(b"old")
-    with pytest.raises(InputError, match=r"out\.bin: already exists; use --force"), atomic_write(path):
+    with pytest.raises(InputError, match=r"out\.bin: already exists; use `overwrite`"), atomic_write(path):
         pass
     with atomic_write(path, overwrite=True) as stream:
         stream.write(b"new")

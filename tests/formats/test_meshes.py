@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -56,15 +59,32 @@ def test_text_formats_keep_nanometers_of_large_coordinates(tmp_path, suffix, pre
     assert np.abs(vertices - tetrahedron(UTM).vertices).max() < 2e-9
 
 
-def test_glb_keeps_the_origin_apart_from_the_vertices(tmp_path):
-    path = tmp_path / "mesh.glb"
-    write_mesh(tetrahedron(UTM), path)
+def glb(path: Path) -> tuple[dict, np.ndarray]:
+    """The JSON of a .glb file of a tetrahedron and its positions as they stand there."""
     content = path.read_bytes()
     assert content[:4] == b"glTF" and int.from_bytes(content[8:12], "little") == len(content)
-    offset = content.index(b"BIN\0") + 4
-    vertices = np.frombuffer(content, "<f4", 12, offset).reshape(4, 3)
+    length = int.from_bytes(content[12:16], "little")
+    return json.loads(content[20 : 20 + length]), np.frombuffer(content, "<f4", 12, 28 + length).reshape(4, 3)
+
+
+def test_in_glb_y_is_up_and_it_comes_back_as_z(tmp_path):
+    write_mesh(tetrahedron([1.0, 2, 3]), tmp_path / "mesh.glb")
+    document, vertices = glb(tmp_path / "mesh.glb")
+    placed = vertices + document["nodes"][0]["translation"]
+    assert np.allclose(placed[3] - placed[0], [0, 1 / 3, 0]) and np.allclose(placed[0], [1, 3, -2])
+    assert "extras" not in document["asset"]
+    assert np.allclose(by_corners(read_mesh(tmp_path / "mesh.glb")), by_corners(tetrahedron([1.0, 2, 3])), atol=1e-4)
+
+
+def test_glb_takes_large_coordinates_off_and_says_so(tmp_path):
+    path = tmp_path / "mesh.glb"
+    (warning,) = write_mesh(tetrahedron(UTM), path)
+    assert "[456789.0, 5432109.0, 321.0]" in warning and "extras" in warning
+    document, vertices = glb(path)
+    assert document["asset"]["extras"] == {"jetnormal_offset": [456789.0, 5432109.0, 321.0]}
+    assert np.abs(document["nodes"][0]["translation"]).max() < 1
     assert np.allclose(np.ptp(vertices, axis=0), 1 / 3, rtol=1e-6)
-    assert b'"translation": [456789.1666' in content
+    assert np.abs(read_mesh(path).vertices.min(axis=0) - UTM).max() < 1e-6
 
 
 def test_stl_warns_of_lost_precision(tmp_path):
@@ -91,7 +111,7 @@ def test_a_target_that_cannot_be_written_is_an_input_error(tmp_path, name):
 def test_an_existing_file_is_replaced_only_when_asked(tmp_path):
     path = tmp_path / "mesh.obj"
     path.write_text("precious")
-    with pytest.raises(InputError, match="--force"):
+    with pytest.raises(InputError, match="`overwrite`"):
         write_mesh(tetrahedron(), path)
     assert path.read_text() == "precious"
     write_mesh(tetrahedron(), path, overwrite=True)

@@ -15,7 +15,7 @@ from jetnormal.cli.app import app
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import write_mesh
 from jetnormal.jobs.options import PreviewOptions
-from jetnormal.jobs.preview import preview_file
+from jetnormal.jobs.preview import _columns, in_grid, preview_file
 from jetnormal.mesh import Mesh
 from jetnormal.rendering.scene import cloud_scene
 
@@ -49,6 +49,24 @@ def test_colorings_stand_side_by_side(files):
     picture = image.imread(io.BytesIO((files / "out.png").read_bytes()), format="png")[..., :3]
     spread = np.ptp(picture, axis=2)
     assert spread[:, :55].max() < 0.2 < spread[:, 70:].max()
+
+
+@pytest.mark.parametrize(
+    ("scenes", "views", "rows", "columns"), [(1, 2, 1, 2), (3, 1, 1, 3), (1, 4, 2, 2), (1, 5, 2, 3), (2, 3, 2, 3)]
+)
+def test_many_views_stand_in_a_grid(scenes, views, rows, columns):
+    images = [np.full((10, 20, 3), 50 + number, np.uint8) for number in range(scenes * views)]
+    picture = in_grid(images, _columns(scenes, views), np.full(3, 255, np.uint8), 4)
+    assert picture.shape == (10 * rows + 4 * (rows - 1), 20 * columns + 4 * (columns - 1), 3)
+    for number in range(len(images)):
+        row, column = divmod(number, columns)
+        assert (picture[14 * row : 14 * row + 10, 24 * column : 24 * column + 20] == 50 + number).all()
+
+
+def test_smaller_pictures_stand_in_the_middle_of_their_cells():
+    picture = in_grid([np.zeros((4, 8, 3), np.uint8), np.zeros((8, 4, 3), np.uint8)], 1, np.full(3, 255, np.uint8), 2)
+    assert picture.shape == (14, 8, 3)
+    assert (picture[6:14, 2:6] == 0).all() and (picture[6:14, :2] == 255).all() and (picture[4:6] == 255).all()
 
 
 @pytest.mark.parametrize("up", [(0, 1, 0), (0, 0, -2), (1, 2, 3)])

@@ -11,7 +11,7 @@ from jetnormal import Cloud, formats, reconstruct
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import read_mesh, write_mesh
 from jetnormal.jobs.options import ReconstructOptions
-from jetnormal.jobs.reconstruct import reconstruct_file
+from jetnormal.jobs.reconstruct import _fitting_depth, reconstruct_file
 from jetnormal.meshing import cleanup as surface
 from jetnormal.meshing import poisson
 from jetnormal.support.open3d_loader import import_open3d
@@ -84,6 +84,17 @@ def test_colors_are_carried_to_the_mesh():
     assert reconstruct(Cloud(points, points), depth=5).colors is None
 
 
+def test_a_mesh_is_smoothed_and_simplified_and_keeps_its_colors():
+    noisy = sphere(2000) * (1 + 0.02 * np.random.default_rng(0).normal(size=(2000, 1)))
+    cloud = Cloud(noisy, sphere(2000), dict.fromkeys(("red", "green", "blue"), np.full(2000, 255, np.uint8)))
+    plain = reconstruct(cloud, depth=6)
+    mesh = reconstruct(cloud, depth=6, smooth=10, faces=300, min_component="largest")
+    assert 200 < len(mesh.faces) <= 300 < len(plain.faces)
+    assert mesh.colors.shape == mesh.vertices.shape and np.allclose(mesh.colors, 1)
+    spread = [np.linalg.norm(one.vertices, axis=1).std() for one in (mesh, plain)]
+    assert spread[0] < spread[1]
+
+
 def test_the_depth_follows_the_spacing_of_the_points(tmp_path):
     depths = []
     for count in (300, 5000):
@@ -91,6 +102,14 @@ def test_the_depth_follows_the_spacing_of_the_points(tmp_path):
         summary = reconstruct_file(tmp_path / "in.ply", tmp_path / "out.ply", ReconstructOptions(), overwrite=True)
         depths.append(summary["depth"])
     assert depths == [4, 6]  # 2.2 / spacing is 10.7 and 44
+
+
+def test_noise_makes_the_cells_larger():
+    depths = []
+    for noise in (0.0, 0.03):
+        points = sphere(5000) * (1 + noise * np.random.default_rng(0).normal(size=(5000, 1)))
+        depths.append(_fitting_depth(points / 2, 1.1))
+    assert depths == [6, 5]  # 1.1 / 0.025, and 1.1 / 0.06
 
 
 def test_specks_of_outliers_vanish():
@@ -153,7 +172,8 @@ def test_what_suggests_no_surface_is_an_input_error_that_names_the_file(tmp_path
 
 @pytest.mark.parametrize(
     "options", [{"depth": 3}, {"depth": 13}, {"scale": 0.9}, {"scale": np.nan}, {"trim": 1.0}, {"trim": -0.1},
-                {"orient": "none"}, {"orient": "nonesuch"}, {"orient": "up", "viewpoint": (0, 0, 1)}]
+                {"orient": "none"}, {"smooth": -1}, {"faces": 3}, {"min_component": -1}, {"min_component": "most"},
+                {"orient": "nonesuch"}, {"orient": "up", "viewpoint": (0, 0, 1)}]
 )  # fmt: skip
 def test_options_out_of_range_are_usage_errors(options):
     with pytest.raises(UsageError):

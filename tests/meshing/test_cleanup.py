@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 from jetnormal.mesh import Mesh
 from jetnormal.meshing import cleanup as surface
+from jetnormal.support.open3d_loader import import_open3d
 
+needs_open3d = pytest.mark.skipif(import_open3d() is None, reason="Open3D cannot be loaded")
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 CUBE_FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
@@ -107,3 +110,59 @@ def test_values_are_carried_exactly_at_points_and_between_them_within_their_rang
     assert np.allclose(surface.carried(values, points, points), values, atol=1e-3)
     between = surface.carried(values, points, grid(31).vertices)
     assert np.abs(between - grid(31).vertices[:, :1] * 2).max() < 0.11
+
+
+def bumpy_sphere() -> Mesh:
+    from scipy.spatial import ConvexHull
+    from shapes import even_sphere
+
+    points = even_sphere(2000)
+    faces = ConvexHull(points).simplices.astype(np.int64)
+    inward = np.einsum("fd,fd->f", Mesh(points, faces).area_vectors(), points[faces[:, 0]]) < 0
+    faces[inward] = faces[inward, ::-1]
+    return Mesh(points * (1 + 0.01 * np.random.default_rng(0).normal(size=(2000, 1))), faces)
+
+
+@needs_open3d
+def test_smoothing_takes_the_bumps_and_not_the_size():
+    rough, smooth = bumpy_sphere(), surface.smoothed(bumpy_sphere(), 20)
+    radius = [np.linalg.norm(mesh.vertices, axis=1) for mesh in (rough, smooth)]
+    assert radius[1].std() < radius[0].std() / 2
+    assert radius[1].mean() == pytest.approx(1, abs=0.003)
+    assert np.array_equal(smooth.faces, rough.faces)
+
+
+@needs_open3d
+def test_simplifying_keeps_the_shape_with_fewer_faces():
+    mesh = surface.simplified(bumpy_sphere(), 500)
+    assert 400 < len(mesh.faces) <= 500 and surface.is_watertight(mesh)
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max() < 0.08
+    assert surface.simplified(mesh, 500) is mesh
+
+
+@pytest.mark.parametrize(("least", "left"), [(None, 2), (0, 3), (31, 2), (150, 1), (10_000, 1), ("largest", 1)])
+def test_components_stay_by_the_points_that_they_have(least, left):
+    rng = np.random.default_rng(0)
+    meshes = [grid(5) for _ in range(3)]
+    vertices = np.concatenate([mesh.vertices + np.array([3 * place, 0, 0]) for place, mesh in enumerate(meshes)])
+    faces = np.concatenate([mesh.faces + 25 * place for place, mesh in enumerate(meshes)])
+    counts = (300, 100, 20)
+    points = np.concatenate([np.c_[rng.random((n, 2)), np.zeros(n)] + [3 * i, 0, 0] for i, n in enumerate(counts)])
+    kept = surface.without_specks(Mesh(vertices, faces), points, least)
+    assert surface.component_labels(kept).max() + 1 == left
+    assert kept.vertices[:, 0].min() == 0  # the largest stays
+
+
+def test_in_a_large_cloud_specks_are_larger():
+    points = np.c_[np.random.default_rng(0).random((30_000, 2)), np.zeros(30_000)]
+    speck = np.c_[np.random.default_rng(1).random((50, 2)), np.zeros(50)] + [3, 0, 0]
+    two = Mesh(
+        np.r_[grid(5).vertices, grid(5).vertices + np.array([3, 0, 0])], np.r_[grid(5).faces, grid(5).faces + 25]
+    )
+    assert surface.component_labels(surface.without_specks(two, np.r_[points, speck])).max() == 0
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005, 0.02])
+def test_noise_is_told_from_curvature(noise):
+    points = sphere(2000) * (1 + noise * np.random.default_rng(1).normal(size=(2000, 1)))
+    assert surface.typical_noise(3 * points) == pytest.approx(3 * noise, rel=0.15, abs=0.001)

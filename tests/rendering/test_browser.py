@@ -133,6 +133,33 @@ def test_the_coloring_switches(show, ellipsoid):
         assert all(np.abs(one - other).max() > 0.05 for other in middles[:number])
 
 
+def test_the_keys_turn_zoom_and_begin_again(show, ellipsoid):
+    viewer = show(ellipsoid)
+    before = viewer.screenshot("keys_before")
+    for key in ("ArrowRight", "ArrowUp", "+", "+", "+"):
+        viewer.page.keyboard.press(key)
+    after = viewer.screenshot("keys_after")
+    assert drawn(after).sum() > 1.1 * drawn(before).sum()
+    viewer.page.keyboard.press("0")
+    assert np.array_equal(viewer.screenshot("keys_again"), before)
+
+
+def test_the_size_of_the_points_is_chosen(show, ellipsoid):
+    viewer = show(ellipsoid)
+    before = drawn(viewer.screenshot("size_before")).sum()
+    viewer.page.locator("input[type=range]").fill("-2")
+    assert drawn(viewer.screenshot("size_small")).sum() < before
+
+
+def test_the_legend_explains_the_colors(show, ellipsoid):
+    viewer = show(Cloud(ellipsoid.points, ellipsoid.normals, {"confidence": np.linspace(0, 1, 4000)}))
+    legend = viewer.page.locator("#legend")
+    assert "faces x" in legend.inner_text() and "inner side" in legend.inner_text()
+    viewer.page.locator("select").select_option("confidence")
+    assert "confidence 0 to 1" in legend.inner_text() and "faces x" not in legend.inner_text()
+    assert "turn" in viewer.page.locator("#hint").inner_text()
+
+
 def test_it_survives_a_hundred_thousand_points(show):
     points = sphere(100_000)
     viewer = show(Cloud(points, points))

@@ -44,7 +44,19 @@ def test_the_page_holds_the_points():
     assert meta["vertices"] == 100 and meta["faces"] == 0 and meta["normals"]
     radius = np.linalg.norm(cloud_scene(cloud).points, axis=1).max()
     assert np.abs(places * radius - cloud_scene(cloud).points).max() < 1e-3
-    assert len(data) == 11 * 100
+    assert len(data) == 12 * 100
+    assert meta["colorings"] == ["normals", "plain"] and meta["coloring"] == "normals"
+
+
+def test_the_page_holds_the_file_s_colors_and_its_confidence_whatever_is_shown_first():
+    cloud = sphere(50)
+    colors = dict(zip(("red", "green", "blue"), np.tile(np.uint8([[10], [20], [30]]), 50), strict=True))
+    confidence = np.linspace(0, 1, 50).astype(np.float32)
+    scene = cloud_scene(Cloud(cloud, cloud, colors | {"confidence": confidence}), "plain")
+    meta, data = content(encode_page(scene, "cloud", "iso", "white"))
+    assert meta["colorings"] == ["normals", "file", "confidence", "plain"] and meta["coloring"] == "plain"
+    assert np.array_equal(np.frombuffer(data, "u1", 150, 8 * 50).reshape(50, 3)[7], [10, 20, 30])
+    assert np.array_equal(np.frombuffer(data, "u1", 50, 11 * 50), np.round(confidence * 255))
 
 
 def test_names_cannot_break_the_page():
@@ -71,4 +83,4 @@ def test_large_clouds_and_meshes_are_thinned(monkeypatch):
     faces = np.concatenate([np.add(corner, [0, 1, 21]), np.add(corner, [1, 22, 21])])
     meta, data = content(encode_page(mesh_scene(Mesh(vertices, faces)), "mesh", "auto", "white"))
     assert 100 < meta["faces"] <= 200
-    assert len(data) == 11 * meta["vertices"] + 12 * meta["faces"]
+    assert len(data) == 12 * meta["vertices"] + 12 * meta["faces"]

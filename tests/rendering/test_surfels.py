@@ -53,6 +53,10 @@ def test_a_sphere_is_seen_where_it_is_without_holes(subject):
     assert np.abs(surfels.depth - (camera.distance - place[..., 2]))[clear].max() < 0.02
     assert ((surfels.normals * place).sum(axis=2)[clear] > 0.98).all()
     assert not surfels.back[clear].any()
+    shown = scene.points if scene.faces is None else scene.points[scene.faces].mean(axis=1)
+    near = camera.to_frame(shown)[surfels.index[clear]]
+    assert np.linalg.norm(near - place[clear], axis=1).max() < 0.12
+    assert np.array_equal(surfels.index >= 0, np.isfinite(surfels.depth))
     assert np.isfinite(surfels.depth[nothing]).mean() < 0.08  # disks reach a little beyond the rim
 
 
@@ -111,3 +115,13 @@ def test_sharp_edges_stay_sharp():
     scene = mesh_scene(Mesh(corners, faces))
     first, second = scene.normals[scene.faces[:2]], scene.normals[scene.faces[2:]]
     assert np.allclose(first, [0, -1, 0]) and np.allclose(second, [-1, 0, 0])
+
+
+def test_a_rough_surface_is_shaded_smoothly():
+    rng = np.random.default_rng(0)
+    axis = np.arange(30.0)
+    x, y = (values.ravel() for values in np.meshgrid(axis, axis))
+    corner = (np.arange(29)[:, None] * 30 + np.arange(29)).reshape(-1, 1)
+    faces = np.concatenate([np.add(corner, [0, 1, 30]), np.add(corner, [1, 31, 30])])
+    smooth, rough = (Mesh(np.stack([x, y, s * rng.normal(size=900)], axis=1), faces) for s in (0.01, 0.5))
+    assert len(mesh_scene(smooth).points) == len(mesh_scene(rough).points) == 900

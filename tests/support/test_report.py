@@ -3,7 +3,9 @@ from __future__ import annotations
 import io
 import json
 import logging
+import sys
 import time
+import types
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +92,25 @@ def test_progress_is_silent_when_quiet_or_used_as_library(configured, monkeypatc
     with report.progress("estimating", 10) as advance:
         advance(10)
     assert terminal.getvalue() == ""
+
+
+class ZMQInteractiveShell:
+    """What a notebook's cells run in, by its name."""
+
+
+@pytest.mark.parametrize(("total", "shown"), [(10, False), (report.NOTEBOOK_LEAST, True)])
+def test_a_notebook_has_a_bar_for_long_work(total, shown, monkeypatch):
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=ZMQInteractiveShell))
+    bars = []
+
+    def bar(description, total, unit):
+        bars.append(description)
+        yield lambda count, note="": None
+
+    monkeypatch.setattr(report, "_bar", bar)
+    with report.progress("estimating", total) as advance:
+        advance(total)
+    assert bars == (["estimating"] if shown else [])
 
 
 def test_stage_timer_adds_up_and_keeps_order():

@@ -1,0 +1,70 @@
+"""The options of an evaluation, each told once. This module imports nothing heavy."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from jetnormal.errors import UsageError
+from jetnormal.support.options import Option, OptionSet
+
+
+@dataclass(frozen=True)
+class EvaluateOptions(OptionSet):
+    """What `jetnormal.evaluate` does."""
+
+    _: KW_ONLY
+    list_file: Annotated[
+        str | None,
+        Option(
+            "List of the clouds, in DIR.",
+            names=("--list",), metavar="FILE", default="testset_all.txt, else all", group="Data",
+        ),
+    ] = None  # fmt: skip
+    all_points: Annotated[bool, Option("Evaluate all points, not those in NAME.pidx.", group="Data")] = False
+    normals: Annotated[
+        tuple[str, ...],
+        Option(
+            "Score another program's normals, too: DIR/CLOUD.normals has a row for each point, or for each that is "
+            "evaluated; repeat it to compare several.",
+            metavar="NAME=DIR", group="Data",
+        ),
+    ] = ()  # fmt: skip
+    orient: Annotated[
+        Literal["none", "global", "mst", "viewpoint", "up"],
+        Option(
+            "Choose signs, and score them, too; estimates all points. viewpoint: by NAME.ply of a scan.", group="Data"
+        ),
+    ] = "none"
+    results: Annotated[
+        Path | None,
+        Option(
+            "Folder that keeps the normals, so that an interrupted evaluation goes on.", metavar="DIR", group="Output"
+        ),
+    ] = None
+    export_normals: Annotated[
+        Path | None,
+        Option("Write the normals of each model as DIR/MODEL/CLOUD.normals.", metavar="DIR", group="Output"),
+    ] = None
+    device: Annotated[str, Option("Where patch networks run.", metavar="auto|cpu|cuda[:N]", group="Resources")] = "auto"
+    threads: Annotated[
+        int | None, Option("CPU threads.", low=1, metavar="T", default="all cores", group="Resources")
+    ] = None
+    z_angles: Annotated[
+        bool,
+        Option(
+            "Measure the angles of true normals and z axes before and after the transform of patch networks.",
+            flag=False,
+        ),
+    ] = False
+
+    def __post_init__(self) -> None:
+        for name in ("results", "export_normals"):
+            given = getattr(self, name)
+            object.__setattr__(self, name, Path(given) if isinstance(given, str) else given)
+        super().__post_init__()
+        for text in self.normals:
+            name, _, folder = text.partition("=")
+            if not name or not folder:
+                raise UsageError(f"`normals` takes NAME=DIR, not {text!r}")
