@@ -15,6 +15,7 @@ from jetnormal.cli.dataset import dataset
 from jetnormal.cli.derive import GroupedCommand
 from jetnormal.cli.estimate import estimate
 from jetnormal.cli.evaluate import evaluate
+from jetnormal.cli.export import export
 from jetnormal.cli.failures import report_failure, report_json
 from jetnormal.cli.models import models
 from jetnormal.cli.preview import preview
@@ -34,6 +35,7 @@ app.command(cls=GroupedCommand)(preview)
 app.command(cls=GroupedCommand)(evaluate)
 app.command(cls=GroupedCommand)(train)
 app.command()(models)
+app.command()(export)
 app.command()(dataset)
 
 

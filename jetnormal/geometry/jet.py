@@ -139,9 +139,32 @@ def fit_jet(points: Tensor, weights: Tensor | None = None, order: int = 3) -> Je
 
 def _solve(matrix: Tensor, right: Tensor, ridge: Tensor) -> Tensor:
     """Solve (B, T, T) positive semi-definite systems for (B, T, 1) right sides, with a ridge (T,); (B, T)."""
-    scale = matrix.diagonal(dim1=1, dim2=2).clamp_min(1e-30).rsqrt()
+    places = torch.arange(matrix.shape[1], device=matrix.device)
+    scale = matrix[:, places, places].clamp_min(1e-30).rsqrt()
     # A monomial that is zero at all points of the patch gets a zero coefficient, by the ridge.
     unit = matrix * scale[:, :, None] * scale[:, None, :]
     unit = unit + torch.diag(ridge)
+    if torch.onnx.is_in_onnx_export():  # ONNX has no Cholesky factorization
+        return _solve_by_columns(unit, right[..., 0] * scale) * scale
     solution = torch.cholesky_solve(right * scale[:, :, None], torch.linalg.cholesky_ex(unit)[0])
     return solution[..., 0] * scale
+
+
+def _solve_by_columns(matrix: Tensor, right: Tensor) -> Tensor:
+    """Solve (B, T, T) positive definite systems for (B, T) right sides by elementary operations: A = L D L^T."""
+    size = matrix.shape[2]
+    rest, columns, pivots = matrix, [], []
+    for j in range(size):  # column j of L, and what is left of the matrix
+        pivots.append(rest[:, j, j])
+        columns.append(rest[:, :, j] / pivots[j][:, None])
+        rest = rest - columns[j][:, :, None] * rest[:, j, None, :]
+    for j in range(size):  # L y = right
+        below = torch.arange(size) > j
+        right = right - torch.where(below, columns[j] * right[:, j, None], 0.0)
+    solution: list[Tensor] = []
+    for j in reversed(range(size)):  # D L^T x = y
+        value = right[:, j] / pivots[j]
+        for known, i in zip(solution, reversed(range(j + 1, size)), strict=True):
+            value = value - columns[j][:, i] * known
+        solution.append(value)
+    return torch.stack(solution[::-1], 1)

@@ -1,4 +1,4 @@
-"""Selection of points of a patch: by compiled loops on a CPU, by PyTorch operations on a GPU."""
+"""Selection of points of a patch: by compiled loops on a CPU, by PyTorch operations on a GPU or for ONNX."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 def farthest_points(points: Tensor, count: int) -> Tensor:
     """Farthest point sampling from index 0 on: (B, count) indices of (B, n, 3) points; of equals, the first."""
     points = points.detach().float()
-    if points.device.type != "cpu":
+    if not _compiled(points):
         return _farthest_by_batch(points, count)
     from jetnormal.networks.patchfit.kernels import farthest_points  # brings numba along
 
@@ -27,7 +27,7 @@ def every_nth(points: Tensor, count: int) -> Tensor:
 def smallest(scores: Tensor, k: int) -> Tensor:
     """(..., k) indices of the k smallest of each row of (..., n) float32 scores, ascending; on a CPU, of equals the
     first."""
-    if scores.device.type != "cpu":
+    if not _compiled(scores):
         return scores.topk(k, largest=False, sorted=True).indices
     from jetnormal.networks.patchfit.kernels import smallest
 
@@ -36,10 +36,15 @@ def smallest(scores: Tensor, k: int) -> Tensor:
     return found
 
 
+def _compiled(tensor: Tensor) -> bool:
+    """Whether the loops of `kernels` do the work: on a CPU, but not in a graph that is exported."""
+    return tensor.device.type == "cpu" and not torch.onnx.is_in_onnx_export()
+
+
 def _farthest_by_batch(points: Tensor, count: int) -> Tensor:
     """A few operations on all patches for each point that is kept."""
     planes = points.transpose(1, 2).contiguous()  # (B, 3, n): a sum over rows is several times faster
-    kept = [torch.zeros(len(points), dtype=torch.int64, device=points.device)]
+    kept = [torch.zeros(points.shape[0], dtype=torch.int64, device=points.device)]
     distance = torch.full_like(planes[:, 0], torch.inf)
     while len(kept) < count:
         newest = planes.gather(2, kept[-1][:, None, None].expand(-1, 3, 1))
