@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import io
+import re
 import subprocess
 import sys
 
@@ -8,7 +10,8 @@ import pytest
 
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError, UsageError
-from jetnormal.formats import check_target, read, suffixes, write
+from jetnormal.formats import all_formats, check_target, read, suffixes, write
+from jetnormal.formats.registry import CONVERSIONS
 
 NORMALS = np.array([[0.0, 0, 1], [0, 0.6, 0.8], [np.nan, np.nan, np.nan]])
 TARGETS = [
@@ -51,6 +54,58 @@ def test_any_format_becomes_any_other(tmp_path, first, first_encoding, second, s
         for name in ("red", "green", "blue"):
             assert again.attributes[name].dtype == np.uint8
             np.testing.assert_array_equal(again.attributes[name], cloud.attributes[name])
+
+
+WRITABLE = [suffix for known in all_formats() if known.write for suffix in known.suffixes]
+
+
+@pytest.mark.parametrize("suffix", WRITABLE)
+def test_every_format_holds_a_cloud(tmp_path, suffix):
+    """A format that is added is tested here without being named: coordinates, normals, and attributes by name."""
+    rng = np.random.default_rng(0)
+    points = np.round(rng.uniform(-9, 9, (40, 3)), 4)
+    normals = rng.normal(size=(40, 3)).astype(np.float32).astype(np.float64)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    attributes = {"label": np.arange(40, dtype=np.int32) - 7, "quality": rng.random(40).astype(np.float32)}
+    path = tmp_path / f"a{suffix}"
+    assert all(str(path) in warning for warning in write(Cloud(points, normals, attributes), path))
+    again = read(path)
+    np.testing.assert_allclose(again.points, points, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(again.normals, normals, atol=1e-7)
+    if suffix != ".pts":  # which has no place for names
+        np.testing.assert_array_equal(again.attributes["label"], attributes["label"])
+        np.testing.assert_allclose(again.attributes["quality"], attributes["quality"], rtol=1e-7)
+    write(again, tmp_path / f"b{suffix}")
+    np.testing.assert_allclose(read(tmp_path / f"b{suffix}").points, again.points, rtol=1e-15)
+
+
+@pytest.mark.parametrize("suffix", sorted(CONVERSIONS))
+def test_files_that_are_not_read_come_with_advice(tmp_path, suffix):
+    with pytest.raises(InputError, match=re.escape(CONVERSIONS[suffix])):
+        read(tmp_path / f"scan{suffix}")
+
+
+@pytest.mark.parametrize(("suffix", "package", "extra"), [(".las", "laspy", "las"), (".e57", "pye57", "e57")])
+def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, suffix, package, extra):
+    magic = {".las": b"LASF", ".e57": b"ASTM-E57"}[suffix]
+    (tmp_path / f"a{suffix}").write_bytes(magic + bytes(500))
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(InputError, match=rf"pip install 'jetnormal\[{extra}\]'"):
+        read(tmp_path / f"a{suffix}")
+
+
+def test_a_cloud_goes_through_the_standard_streams(tmp_path, monkeypatch):
+    for name in ("ply", "laz", "npz"):
+        out = io.BytesIO()
+        monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out, write_through=True))
+        write(Cloud(np.eye(3)), "-", format=name)
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(out.getvalue())))
+        assert np.array_equal(read("-", format=name).points, np.eye(3))
+    for action in (read, lambda path: write(Cloud(np.eye(3)), path)):
+        with pytest.raises(InputError, match="`format` tells what a stream holds"):
+            action("-")
+    with pytest.raises(InputError, match="unknown format 'nonesuch'"):
+        read("-", format="nonesuch")
 
 
 def test_opaque_pcl_colours_become_channels(tmp_path):
