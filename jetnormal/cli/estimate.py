@@ -122,20 +122,29 @@ def _estimate_many(
 ) -> None:
     from jetnormal.jobs.batch import estimate_files
 
-    summary = estimate_files(inputs, folder, options, files, batch, overwrite=force)
-    for done in summary["files"]:
-        report(done)
-    for failure in summary["failed"]:
-        failure["error"] = spell(failure["error"])
-        logger.error(
-            "%s", failure["error"] if failure["input"] in failure["error"] else "{input}: {error}".format(**failure)
-        )
+    summary = estimate_files(inputs, folder, options, files, batch, overwrite=force, finished=_report_one)
     counts = (len(summary["files"]), len(summary["skipped"]), len(summary["failed"]))
     logger.info("%s: %d files done, %d skipped, %d failed", folder, *counts)
     if json:
         print_json(summary)
     if summary["failed"]:
         raise typer.Exit(summary["failed"][0]["code"])
+
+
+def _report_one(result: dict[str, Any]) -> None:
+    """Log what became of one of many files; every message names it."""
+    source = result["input"]
+
+    def naming(message: str) -> str:
+        named = source in message or result.get("output", source) in message
+        return spell(message if named else f"{source}: {message}")
+
+    if "error" in result:
+        result["error"] = naming(result["error"])
+        logger.error("%s", result["error"])
+    else:
+        result["warnings"] = [naming(warning) for warning in result["warnings"]]
+        report(result)
 
 
 def check_mesh(mesh: Path, output: Path, orient: str, force: bool) -> None:

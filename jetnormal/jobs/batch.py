@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
 from jetnormal import formats
 from jetnormal.errors import InputError, JetnormalError, ResourceError, UsageError
-from jetnormal.estimators.base import Estimator
 from jetnormal.jobs.estimate import prepare_estimator, run_file
 from jetnormal.jobs.files import check_file
 from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions
 from jetnormal.support.report import StageTimer, peak_memory_mb, progress
+
+Report = Callable[[dict[str, Any]], None]
 
 
 def estimate_files(
@@ -25,6 +26,7 @@ def estimate_files(
     batch: BatchOptions = BatchOptions(),  # noqa: B008 - frozen
     *,
     overwrite: bool = False,
+    finished: Report = lambda summary: None,
 ) -> dict[str, Any]:
     """Estimate the normals of many clouds, each as `jobs.estimate.estimate_file` does.
 
@@ -37,6 +39,7 @@ def estimate_files(
         files: how files are read and written; `format` is that of the written ones.
         batch: what is written, and how many clouds are in memory at a time.
         overwrite: whether existing outputs may be replaced.
+        finished: is called with the summary of each file, or with what failed, as soon as it is done.
 
     Returns:
         A summary: folder, files (the summaries of those that are done), skipped (outputs that were there), failed
@@ -59,7 +62,12 @@ def estimate_files(
     timer = StageTimer()
     with timer.stage("model"):
         estimator = prepare_estimator(options)
-    done, failed = _run(todo, options, files, estimator, batch.jobs, overwrite)
+
+    def run_one(source: Path, target: Path) -> dict[str, Any]:
+        return run_file(source, target, options, files, estimator, StageTimer(), overwrite=overwrite, turn=turn)
+
+    turn = threading.Lock()
+    done, failed = _run(todo, run_one, batch.jobs, finished)
     for summary in done:
         for stage, seconds in summary["seconds"].items():
             timer.seconds[stage] = timer.seconds.get(stage, 0.0) + seconds
@@ -103,20 +111,10 @@ def _make_folder(folder: Path) -> None:
 
 
 def _run(
-    todo: Sequence[tuple[Path, Path]],
-    options: EstimateOptions,
-    files: FileOptions,
-    estimator: Estimator,
-    jobs: int,
-    overwrite: bool,
+    todo: Sequence[tuple[Path, Path]], run_one: Callable[[Path, Path], dict[str, Any]], jobs: int, finished: Report
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """The summaries of the files that are done, and what failed, in the order of the files."""
-    turn = threading.Lock()
     sizes = [source.stat().st_size if source.is_file() else 0 for source, _ in todo]
-
-    def run_one(source: Path, target: Path) -> dict[str, Any]:
-        return run_file(source, target, options, files, estimator, StageTimer(), overwrite=overwrite, turn=turn)
-
     done: dict[int, dict[str, Any]] = {}
     failed: dict[int, dict[str, Any]] = {}
     with progress("files", max(1, sum(sizes)), "bytes") as advance, ThreadPoolExecutor(jobs) as pool:
@@ -124,13 +122,13 @@ def _run(
             pool.submit(run_one, source, target): index for index, (source, target) in enumerate(todo)
         }
         try:
-            for finished in as_completed(waiting):
-                index = waiting[finished]
-                error = finished.exception()
+            for future in as_completed(waiting):
+                index, error = waiting[future], future.exception()
                 if error is None:
-                    done[index] = finished.result()
+                    done[index] = future.result()
                 else:
                     failed[index] = {"input": str(todo[index][0]), **_failure(error)}
+                finished(done.get(index) or failed[index])
                 advance(sizes[index], f"{len(done) + len(failed)} of {len(todo)} files")
         except BaseException:  # Ctrl-C: what has begun is ended, what has not is not begun
             pool.shutdown(wait=False, cancel_futures=True)

@@ -66,3 +66,24 @@ def test_damaged_files_are_named(tmp_path, text):
     (tmp_path / "bad.ptx").write_text(text)
     with pytest.raises(InputError, match=r"bad\.ptx: "):
         formats.read(tmp_path / "bad.ptx")
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_raster_around_the_origin_shows_that_the_scanner_stood_there(tmp_path, turned):
+    """A full turn in 40 columns of 15 rows; the same points in another order are no raster."""
+    azimuth, elevation = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 40, endpoint=False) + 0.3, np.linspace(-1, 1, 15), indexing="ij"
+    )
+    distance = np.random.default_rng(0).uniform(2, 9, azimuth.shape)
+    level = distance * np.cos(elevation)
+    points = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)], axis=-1)
+    rows = points.reshape(-1, 3)
+    rows = np.random.default_rng(1).permutation(rows) if turned else rows
+    text = "40\n15\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    text += "".join(f"{x:.4f} {y:.4f} {z:.4f} 0.5\n" for x, y, z in rows)
+    (tmp_path / "a.ptx").write_text(text)
+    source = formats.read(tmp_path / "a.ptx").source
+    if turned:
+        assert source.sensors is None and source.viewpoint[:3] == (0, 0, 0)
+    else:
+        assert source.sensors.shape == (600, 3) and not source.sensors.any()
