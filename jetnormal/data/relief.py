@@ -14,6 +14,8 @@ WAVES = 24  # plane waves in a relief
 SHORTEST, LONGEST = 5.0, 60.0  # wavelengths, in units of the spacing of the points
 WIDEST = 8.0  # ratio of the longest to the shortest wavelength of a relief, at most
 FLATTEST, STEEPEST = 0.04, 0.45  # root mean square slope
+CLEAR = 15.0  # wavelengths are at least this many times the noise, else points of one place would lie on other waves
+SAMPLE, NEIGHBORS = 300, 12  # points and their neighbors, from which the noise is told
 
 
 def add_relief(points: Floats, normals: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -23,16 +25,20 @@ def add_relief(points: Floats, normals: Floats, rng: np.random.Generator) -> tup
     varies slowly from 0 to 1, so that smooth and rough regions lie side by side.
 
     Args:
-        points: (N, 3) of a surface; noise on them should be small against the wavelengths.
+        points: (N, 3) of a surface, perhaps with noise.
         normals: (N, 3) unit normals of the surface.
         rng: source of randomness.
 
     Returns:
-        The moved points (N, 3) and the unit normals (N, 3) of the surface with the relief.
+        The moved points (N, 3) and the unit normals (N, 3) of the surface with the relief; both as they were if the
+        noise leaves no room for one.
     """
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     spacing = diagonal / np.sqrt(len(points))
-    shortest = spacing * SHORTEST * (LONGEST / SHORTEST) ** rng.random()
+    least = max(SHORTEST * spacing, CLEAR * _noise(points, normals, rng))
+    if least > LONGEST * spacing:
+        return points, normals
+    shortest = least * (LONGEST * spacing / least) ** rng.random()
     lengths = shortest * (WIDEST ** rng.random()) ** rng.random((WAVES, 1))
     waves = _directions(WAVES, rng) * (2 * np.pi / lengths)
     phases = points @ waves.T + rng.uniform(0, 2 * np.pi, WAVES)
@@ -47,6 +53,16 @@ def add_relief(points: Floats, normals: Floats, rng: np.random.Generator) -> tup
     along = gradient - (gradient * normals).sum(axis=1, keepdims=True) * normals
     tilted = normals - along
     return points + (mask * height)[:, None] * normals, tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
+
+
+def _noise(points: Floats, normals: Floats, rng: np.random.Generator) -> float:
+    """Standard deviation of the neighbors' heights over the true tangent plane, in the median over some points."""
+    from scipy.spatial import cKDTree
+
+    rows = rng.integers(len(points), size=SAMPLE)
+    found = cKDTree(points).query(points[rows], min(NEIGHBORS, len(points)))[1]
+    heights = np.einsum("ijk,ik->ij", points[found] - points[rows, None], normals[rows])
+    return float(np.median(heights.std(axis=1)))
 
 
 def _directions(count: int, rng: np.random.Generator) -> Floats:

@@ -37,6 +37,19 @@ def test_the_slope_is_bounded_and_equal_seeds_give_equal_reliefs():
     np.testing.assert_array_equal(*again)
 
 
+def test_with_noise_there_are_long_waves_only():
+    """The slope changes little from a point to its neighbors where these lie beside it by noise alone."""
+    points, normals = plane(100)
+    rng = np.random.default_rng(0)
+    for seed in range(5):
+        rough = points + [0, 0, 0.02] * rng.normal(size=points.shape)
+        lifted = rough + np.array([0, 0, 0.02])
+        first, second = (add_relief(cloud, normals, np.random.default_rng(seed))[1] for cloud in (rough, lifted))
+        angle = np.degrees(np.arccos(np.clip((first * second).sum(axis=1), -1, 1)))
+        tilt = np.degrees(np.arccos(first[:, 2]))
+        assert np.sqrt(np.mean(angle**2)) < 0.6 * np.sqrt(np.mean(tilt**2))
+
+
 def test_a_source_with_relief_leaves_noisy_clouds_alone():
     plain = SyntheticSolids(clouds_per_epoch=12, points=300)
     source = WithRelief(plain, 1.0)

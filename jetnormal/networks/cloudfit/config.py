@@ -32,8 +32,8 @@ class CloudFitConfig:
 
     channels: tuple[int, ...] = (64, 128, 192, 192, 192, 192)
     hidden: int = 32
-    up_layers: tuple[int, ...] = (0, 1, 2, 2, 2, 2)
-    down_layers: tuple[int, ...] = (1, 2, 2, 2, 2, 0)
+    up_layers: tuple[int, ...] = (1, 1, 2, 2, 2, 2)
+    down_layers: tuple[int, ...] = (2, 2, 2, 2, 2, 0)
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.channels) == len(self.up_layers) == len(self.down_layers):
