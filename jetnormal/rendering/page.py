@@ -29,21 +29,25 @@ MAX_FACES = 180_000
 SEED = 0
 
 
-def encode_page(scene: Scene, title: str, view: str, background: str) -> bytes:
-    """The page, in UTF-8.
+def encode_page(
+    scene: Scene, title: str, view: str, background: str, *, max_points: int = MAX_POINTS, max_faces: int = MAX_FACES
+) -> bytes:
+    """Write a scene as a page, in UTF-8.
 
     Args:
         scene: what it shows.
         title: its title.
         view: from where it is seen at first (`rendering.camera.view_direction`).
         background: "white" or "dark".
+        max_points: a larger cloud is subsampled.
+        max_faces: a larger mesh is simplified.
 
     Raises:
         ResourceError: the scene is a mesh that must be simplified, and Open3D is not there.
     """
     shown = _counts(scene)
     turn = camera_axes(view_direction(view, scene.points, scene.normals))
-    scene = _subsampled(scene) if scene.faces is None else _simplified(scene)
+    scene = _subsampled(scene, max_points) if scene.faces is None else _simplified(scene, max_faces)
     radius = max(float(np.linalg.norm(scene.points, axis=1).max()), 1e-12)
     parts = [
         np.round(scene.points / radius * 32767).astype("<i2"),
@@ -107,20 +111,20 @@ def _counts(scene: Scene) -> str:
     return f"{len(scene.faces):,} faces"
 
 
-def _subsampled(scene: Scene) -> Scene:
-    if len(scene.points) <= MAX_POINTS:
+def _subsampled(scene: Scene, count: int) -> Scene:
+    if len(scene.points) <= count:
         return scene
-    rows = np.sort(np.random.default_rng(SEED).permutation(len(scene.points))[:MAX_POINTS])
+    rows = np.sort(np.random.default_rng(SEED).permutation(len(scene.points))[:count])
     own = None if scene.own is None else scene.own[rows]
     confidence = None if scene.confidence is None else scene.confidence[rows]
     parts = scene.points[rows], scene.normals[rows], scene.colors[rows]
     return Scene(*parts, coloring=scene.coloring, own=own, confidence=confidence)
 
 
-def _simplified(scene: Scene) -> Scene:
-    """The mesh with as many faces as a page may have (Garland and Heckbert, 1997), if it has more."""
+def _simplified(scene: Scene, count: int) -> Scene:
+    """Simplify a mesh to `count` faces, if it has more (Garland and Heckbert, 1997)."""
     assert scene.faces is not None
-    if len(scene.faces) <= MAX_FACES:
+    if len(scene.faces) <= count:
         return scene
     open3d: Any = import_open3d()
     if open3d is None:
@@ -130,7 +134,7 @@ def _simplified(scene: Scene) -> Scene:
     )
     mesh.vertex_normals = open3d.utility.Vector3dVector(scene.normals)
     mesh.vertex_colors = open3d.utility.Vector3dVector(scene.colors if scene.own is None else scene.own)
-    mesh = mesh.simplify_quadric_decimation(MAX_FACES)
+    mesh = mesh.simplify_quadric_decimation(count)
     colors = np.asarray(mesh.vertex_colors)
     return Scene(
         np.asarray(mesh.vertices),

@@ -11,9 +11,9 @@ import pytest
 from shapes import sphere
 
 from jetnormal import Cloud
-from jetnormal.rendering import page as module
 from jetnormal.rendering.page import encode_octahedral, encode_page
 from jetnormal.rendering.scene import cloud_scene
+from jetnormal.support.open3d_loader import import_open3d
 
 
 def ball(count: int) -> Cloud:
@@ -68,19 +68,18 @@ def test_a_hundred_thousand_points_take_less_than_five_megabytes():
     assert len(encode_page(cloud_scene(ball(100_000)), "cloud", "auto", "white")) < 5e6
 
 
-def test_large_clouds_and_meshes_are_thinned(monkeypatch):
+def test_large_clouds_and_meshes_are_thinned():
     from jetnormal import Mesh
     from jetnormal.rendering.scene import mesh_scene
 
-    monkeypatch.setattr(module, "MAX_POINTS", 500)
-    meta, _ = content(encode_page(cloud_scene(ball(2000)), "cloud", "auto", "white"))
+    meta, _ = content(encode_page(cloud_scene(ball(2000)), "cloud", "auto", "white", max_points=500))
     assert meta["vertices"] == 500 and meta["shown"] == "2,000 points, 500 points shown"
-    pytest.importorskip("open3d", exc_type=ImportError)
-    monkeypatch.setattr(module, "MAX_FACES", 200)
+    if import_open3d() is None:
+        pytest.skip("there is no Open3D to simplify meshes")
     axis = np.linspace(0, 1, 21)
     vertices = np.stack([*np.meshgrid(axis, axis), np.zeros((21, 21))], axis=-1).reshape(-1, 3)
     corner = (np.arange(20)[:, None] * 21 + np.arange(20)).reshape(-1, 1)
     faces = np.concatenate([np.add(corner, [0, 1, 21]), np.add(corner, [1, 22, 21])])
-    meta, data = content(encode_page(mesh_scene(Mesh(vertices, faces)), "mesh", "auto", "white"))
+    meta, data = content(encode_page(mesh_scene(Mesh(vertices, faces)), "mesh", "auto", "white", max_faces=200))
     assert 100 < meta["faces"] <= 200
     assert len(data) == 12 * meta["vertices"] + 12 * meta["faces"]
