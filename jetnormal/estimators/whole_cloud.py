@@ -17,8 +17,10 @@ from jetnormal.geometry.neighbors import COLLINEAR
 from jetnormal.geometry.pyramid import NEIGHBORS, Pyramid, build_pyramid
 from jetnormal.networks.cloudfit.config import CloudFitConfig
 from jetnormal.networks.cloudfit.curvature import add_equations, principal
+from jetnormal.networks.cloudfit.edge_kernels import edge_messages
 from jetnormal.networks.cloudfit.inference import Found, Inference
-from jetnormal.support.report import Advance
+from jetnormal.support.compiled import is_kept
+from jetnormal.support.report import Advance, logger
 
 if TYPE_CHECKING:
     from jetnormal.networks.cloudfit.network import CloudFit
@@ -107,6 +109,8 @@ def cloud_estimator(
     """
     if device == "cpu":
         inference = Inference.load(path)
+        if not is_kept(edge_messages):
+            logger.info("compiling the loops of %s for this machine: some seconds, this once", name)
         return CloudEstimator(name, inference.config, inference, iterations, threads)
     from jetnormal.networks.checkpoint import load_model
     from jetnormal.networks.cloudfit.network import CloudFit

@@ -27,6 +27,13 @@ def compiled(function: Callable[..., Any]) -> Any:
         return njit(**options)(function)
 
 
+def is_kept(function: Any) -> bool:
+    """Whether the machine code of a `compiled` function is there from an earlier process."""
+    folder = function.stats.cache_path
+    module = function.py_func.__module__.rpartition(".")[2]
+    return folder is not None and any(Path(folder).glob(f"{module}.{function.py_func.__name__}-*.nbi"))
+
+
 @contextmanager
 def _cache_folder() -> Iterator[None]:
     """Have numba, which looks at its setting when a function is decorated, keep code in the user's cache folder."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jetnormal.support.compiled import compiled
+from jetnormal.support.compiled import compiled, is_kept
 
 
 def double_sum(values):
@@ -35,5 +35,8 @@ def test_the_cache_lies_in_the_folder_of_the_user(monkeypatch: pytest.MonkeyPatc
 
 def test_a_cache_folder_of_the_users_choice_is_taken(monkeypatch: pytest.MonkeyPatch, tmp_path):
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-    compiled(double_sum)(np.arange(4.0))
+    function = compiled(double_sum)
+    assert not is_kept(function)
+    function(np.arange(4.0))
     assert list(tmp_path.rglob("*double_sum*.nbc"))
+    assert is_kept(compiled(double_sum))
