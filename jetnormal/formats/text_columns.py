@@ -152,7 +152,9 @@ def _counts(values: NDArray[Any]) -> bool:
 def _are_unit(columns: Sequence[NDArray[Any]]) -> bool:
     vectors = np.stack(columns, axis=1)
     known = vectors[~np.isnan(vectors).all(axis=1)]
-    return len(known) > 0 and bool((np.abs(np.linalg.norm(known, axis=1) - 1) < _UNIT_TOLERANCE).all())
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(known, axis=1)
+    return len(known) > 0 and bool((np.abs(lengths - 1) < _UNIT_TOLERANCE).all())
 
 
 def are_bytes(values: NDArray[Any]) -> bool:
