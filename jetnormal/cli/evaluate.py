@@ -27,7 +27,7 @@ def evaluate(
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="pca, jet, a packaged network or a checkpoint; repeat it to compare several.",
+            help="pca, jet, traditional, a packaged network or a model file; repeatable.",
             autocompletion=complete_model,
         ),
     ] = None,
@@ -60,7 +60,9 @@ def evaluate(
     Points/s counts the normals estimated and the time from points to normals. What is done once for all points
     (search structure, encoding of a whole cloud) weighs on the few of NAME.pidx: --all-points tells the speed.
 
-    Settings of a model follow a colon: k, order (jet) and iterations (networks).
+    Settings of a model follow a colon: k, order (jet) and iterations (networks); or small, medium or large, the
+    neighborhoods of the literature (pca: 18, 112, 450 points; jet of order 2: 18, 122, 450). --model traditional
+    compares these six.
 
     --results keeps estimated normals, and takes them again if the model file, the cloud files, the settings and
     the version of jetnormal are the same.
@@ -68,7 +70,8 @@ def evaluate(
     \b
     Examples:
       jetnormal evaluate --data pcpnet --model cloudfit
-      jetnormal evaluate --data pcpnet --model cloudfit --model pca:k=112 --model jet:k=122,order=2 --plots plots
+      jetnormal evaluate --data pcpnet --model cloudfit --model pca:medium --model jet:medium --plots plots
+      jetnormal evaluate --data pcpnet --model traditional --format markdown
       jetnormal evaluate --data pcpnet --list testset_no_noise.txt --model run/model.safetensors --json
       jetnormal evaluate --data pcpnet --model cloudfit --results kept --format csv > scores.csv
       jetnormal evaluate --data pcpnet --model cloudfit --normals theirs=their_results --format latex

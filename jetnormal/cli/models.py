@@ -27,7 +27,8 @@ def models(
         ),
     ] = None,
     complexity: Annotated[
-        bool, typer.Option("--complexity", help="List the paper's six networks instead, with random weights.")
+        bool,
+        typer.Option("--complexity", help="List the networks of the paper instead, with random weights."),
     ] = False,
     measure: Annotated[
         bool, typer.Option("--measure/--no-measure", help="Measure the time that a point takes.")
@@ -67,7 +68,7 @@ def models(
     from jetnormal.evaluation.tables import print_tables
 
     if complexity:
-        table = _table("the paper's networks", [one.architecture for one in found], found)
+        table = _table("the paper's networks", [f"{one.name}: {one.architecture}" for one in found], found)
     else:
         table = _table("models", [f"{one.name}: {one.architecture}" for one in found], found)
     print_tables([table], sys.stdout)

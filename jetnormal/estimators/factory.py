@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +14,23 @@ from jetnormal.support.options import MAX_THREADS
 
 if TYPE_CHECKING:
     from jetnormal.estimators.base import Estimator
+    from jetnormal.networks.checkpoint import Network
+
+    Source = Path | Network | None
 
 CLASSICAL = ("pca", "jet")
 SETTINGS = ("k", "order", "iterations")
 LARGEST = {"k": 2**31, "order": 2**31, "iterations": 1000, "batch_size": 2**31, "threads": MAX_THREADS}
+# The neighborhoods that PCPNet's authors and those after them compare with: "pca:small" and so on.
+PRESETS = {
+    "pca": {"small": {"k": 18}, "medium": {"k": 112}, "large": {"k": 450}},
+    "jet": {
+        "small": {"k": 18, "order": 2},
+        "medium": {"k": 122, "order": 2},
+        "large": {"k": 450, "order": 2},
+    },
+}
+TRADITIONAL = "traditional"  # stands for all of them
 
 
 @dataclass(frozen=True)
@@ -36,12 +49,12 @@ class _Kind:
     Attributes:
         settings: that it has.
         runs_on_gpu: whether it takes another device than the CPU.
-        build: makes one of its name, its model file (None for a classical fit), settings and resources.
+        build: makes one of its name, its model file or network (None for a classical fit), settings and resources.
     """
 
     settings: tuple[str, ...]
     runs_on_gpu: bool
-    build: Callable[[str, Path | None, dict[str, int], Resources], Estimator]
+    build: Callable[[str, Any, dict[str, int], Resources], Estimator]
 
 
 def make_estimator(
@@ -58,7 +71,8 @@ def make_estimator(
 
     Args:
         model: "pca", "jet", a packaged network or a model file; settings may follow a colon, as in
-            "jet:k=122,order=2" or "deepfit-small:iterations=2".
+            "jet:k=122,order=2" or "deepfit-small:iterations=2", or for classical fits the name of a preset, as in
+            "pca:small".
         k: neighbors in a patch.
         order: of the jet; only for "jet".
         iterations: of a network; see `PatchFit.forward`.
@@ -82,6 +96,26 @@ def make_estimator(
     if not kind.runs_on_gpu and device not in ("auto", "cpu"):
         raise UsageError(f"the model {name} runs on the CPU: leave out the option device, or choose a network")
     return kind.build(model, path, _only(chosen, name, kind.settings), Resources(batch_size, device, threads))
+
+
+def network_estimator(name: str, network: Network, *, device: str = "auto", threads: int | None = None) -> Estimator:
+    """Build an estimator of a network that is ready for inference; CloudFit's only comes from a file.
+
+    Raises:
+        ResourceError: the device is not there.
+    """
+    return _KINDS[network.architecture].build(name, network, {}, Resources(None, device, threads))
+
+
+def runs_on_gpu(architecture: str) -> bool:
+    """Tell whether networks of an architecture take another device than the CPU."""
+    return _KINDS[architecture].runs_on_gpu
+
+
+def spelled_out(models: Sequence[str | Estimator]) -> list[str | Estimator]:
+    """Return models with the six presets of classical fits in the place of "traditional"."""
+    presets = [f"{name}:{preset}" for name in CLASSICAL for preset in PRESETS[name]]
+    return [name for model in models for name in (presets if model == TRADITIONAL else [model])]
 
 
 def model_names() -> list[str]:
@@ -108,8 +142,10 @@ def _kind_of(path: Path) -> _Kind:
 
 
 def _parse(model: str) -> tuple[str, dict[str, int]]:
-    """Split "name:key=value,..." at its last colon; a path may hold colons of its own."""
+    """Split "name:key=value,..." or "name:preset" at its last colon; a path may hold colons of its own."""
     name, colon, text = model.rpartition(":")
+    if text in PRESETS.get(name, {}):
+        return name, PRESETS[name][text]
     if not colon or "=" not in text or _is_file(model):
         return model, {}
     settings = {}
@@ -148,13 +184,13 @@ def _jet(_model: str, _path: Path | None, settings: dict[str, int], resources: R
     return jet_estimator(**settings, batch_size=resources.batch_size, threads=resources.threads)
 
 
-def _patch_network(model: str, path: Path | None, settings: dict[str, int], resources: Resources) -> Estimator:
+def _patch_network(model: str, network: Source, settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.patchwise import network_estimator
     from jetnormal.support.device import resolve_device
 
     return network_estimator(
         model,
-        _load(path),
+        _load(network),
         **settings,
         batch_size=resources.batch_size,
         device=resolve_device(resources.device),
@@ -171,26 +207,28 @@ def _whole_cloud(model: str, path: Path | None, settings: dict[str, int], resour
     return cloud_estimator(model, path, **settings, device=device, threads=resources.threads)
 
 
-def _iterative(model: str, path: Path | None, settings: dict[str, int], resources: Resources) -> Estimator:
+def _iterative(model: str, network: Source, settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.iterative import ROWS, IterEstimator
 
     batch_size = resources.batch_size or ROWS
-    return IterEstimator(model, _load(path), **settings, batch_size=batch_size, threads=resources.threads)
+    return IterEstimator(model, _load(network), **settings, batch_size=batch_size, threads=resources.threads)
 
 
-def _balls(model: str, path: Path | None, _settings: dict[str, int], resources: Resources) -> Estimator:
+def _balls(model: str, network: Source, _settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.ballwise import BATCH, BallEstimator
     from jetnormal.support.device import resolve_device
 
     device = resolve_device(resources.device)
-    return BallEstimator(model, _load(path).to(device), resources.batch_size or BATCH, device, resources.threads)
+    return BallEstimator(model, _load(network).to(device), resources.batch_size or BATCH, device, resources.threads)
 
 
-def _load(path: Path | None) -> Any:
+def _load(network: Path | Network | None) -> Any:
+    """The network of a model file, or one that is loaded already."""
+    if not isinstance(network, Path):
+        return network
     from jetnormal.networks.checkpoint import load_model  # brings PyTorch along
 
-    assert path is not None
-    return load_model(path)
+    return load_model(network)
 
 
 NETWORKS = ("patchfit", "cloudfit", "iternet", "pcpnet", "nestinet")  # architectures of model files

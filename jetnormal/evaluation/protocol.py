@@ -169,8 +169,10 @@ def _by_category(clouds: dict[str, str]) -> dict[str, list[str]]:
 
 
 def _make_trials(models: Sequence[str | Estimator], options: EvaluateOptions) -> list[_Trial]:
+    from jetnormal.estimators.factory import spelled_out
+
     store = None if options.results is None else ResultStore(options.results)
-    trials = [_model_trial(model, options, store) for model in models]
+    trials = [_model_trial(model, options, store) for model in spelled_out(models)]
     trials += [_Given(*_named_folder(text)) for text in options.normals]
     names = [trial.name for trial in trials]
     for name in names:

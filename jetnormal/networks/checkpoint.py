@@ -115,7 +115,7 @@ def load_model(name: str | Path) -> Network:
         try:
             # On the meta device nothing is allocated, and nothing drawn at random, before the shapes are compared.
             with torch.device("meta"):
-                network = _build(architecture, dict(metadata["config"]))
+                network = build_network(architecture, dict(metadata["config"]))
             _check_tensors(tensors, network.state_dict())
         except (UsageError, TypeError, KeyError, ValueError, RuntimeError, OverflowError) as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
@@ -124,7 +124,7 @@ def load_model(name: str | Path) -> Network:
         return network.for_inference()
 
 
-def _build(architecture: str, config: dict[str, Any]) -> Network:
+def build_network(architecture: str, config: dict[str, Any]) -> Network:
     """A network by its architecture and its configuration."""
     if any(isinstance(value, list) and len(value) > LONGEST_LIST for value in config.values()):
         raise ValueError(f"a list of more than {LONGEST_LIST} items")

@@ -210,9 +210,3 @@ def _local_mean(pictures: Tensor, size: int) -> Tensor:
         return F.avg_pool3d(F.pad(values, _around(size)), size, stride=1)
 
     return means(pictures) / means(torch.ones_like(pictures[:1, :1]))
-
-
-def nestinet_loss(normals: Tensor, probabilities: Tensor, true: Tensor) -> Tensor:
-    """The mean of twice the sines between (B, E, 3) normals and the (B, 3) true ones, weighted by probability."""
-    sines = torch.linalg.cross(F.normalize(normals, dim=2), true[:, None]).square().sum(2).clamp_min(1e-16).sqrt()
-    return 2 * (probabilities * sines).sum(1).mean()

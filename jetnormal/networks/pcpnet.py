@@ -71,8 +71,16 @@ class PCPNet(nn.Module):
             point_layers([c1, c2]), nn.Dropout(DROPOUT), point_layers([c2, c3]), nn.Dropout(DROPOUT), nn.Linear(c3, 3)
         )
 
-    def forward(self, points: Tensor) -> Tensor:
-        """(B, S, n, 3) points of S balls around each query, in radii, to (B, 3) normals of any sign and length."""
+    def forward(self, points: Tensor, counts: Tensor | None = None) -> Tensor:
+        """Find normals.
+
+        Args:
+            points: (B, S, n, 3) points of S balls around each query, in radii.
+            counts: (B, S) true points of the balls; the others are copies of the query and change no maximum.
+
+        Returns:
+            (B, 3) normals of any sign and length.
+        """
         rotation = rotation_matrix(self.turn(points))
         with full_precision(points):
             points = points @ rotation[:, None]
@@ -87,11 +95,7 @@ class PCPNet(nn.Module):
             return (rotation @ normals[..., None])[..., 0]
 
     def estimate(self, points: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
-        """Find unit normals and confidences.
-
-        Args:
-            points: (B, S, n, 3), as above.
-            counts: (B, S) true points of the balls; the others are copies of the query and change no maximum.
+        """Find unit normals and confidences, from the same as `forward`.
 
         Returns:
             (B, 3) unit vectors of any sign, and (B,) their lengths before, at most 1: between two normals that it takes
@@ -123,9 +127,3 @@ class _Transform(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         """(B, S, n, C) to (B, outputs)."""
         return self.read(self.describe.peak(self.features(points)).flatten(1))
-
-
-def pcpnet_loss(predicted: Tensor, normals: Tensor) -> Tensor:
-    """The mean squared distance from (B, 3) predicted normals to the nearer of n and -n, (B, 3), as published."""
-    squares = [(predicted - normals).square().sum(1), (predicted + normals).square().sum(1)]
-    return torch.minimum(*squares).mean()

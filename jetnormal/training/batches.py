@@ -1,11 +1,11 @@
-"""Batches of training patches, as a pure function of the seed, made ahead in a thread."""
+"""Batches of neighborhoods to train on, as a pure function of the seed, made ahead in a thread."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from jetnormal.geometry.patches import build_patches
 
 AHEAD = 4  # batches that wait for the network
 _Made = TypeVar("_Made")
+_Index = TypeVar("_Index")
 
 
 @dataclass(frozen=True)
@@ -34,68 +35,96 @@ class Batch:
     normals: Tensor
 
 
-class PatchSampler:
-    """Draws the batches of an epoch: `patches_per_cloud` patches of each cloud of the source, shuffled together.
+class QuerySampler(Generic[_Index, _Made]):
+    """Draws the batches of an epoch: neighborhoods of some queries of each cloud of the source, shuffled together.
 
-    Any point may be a query, as in the published training: the .pidx files of PCPNet are for evaluation.
+    Any point may be a query, as in the published trainings: the .pidx files of PCPNet are for evaluation. A subclass
+    says how neighborhoods are found and put together.
 
     Args:
         source: of the clouds.
-        neighbors: points in a patch.
-        patches_per_cloud: queries drawn from each cloud, without replacement where it has as many.
-        batch_size: patches in a batch; what does not fill the last batch of an epoch is left out.
+        queries_per_cloud: drawn from each cloud, without replacement where it has as many.
+        batch_size: queries in a batch; what does not fill the last batch of an epoch is left out.
         seed: everything drawn follows from it.
     """
 
-    def __init__(self, source: DataSource, neighbors: int, patches_per_cloud: int, batch_size: int, seed: int) -> None:
+    def __init__(self, source: DataSource, queries_per_cloud: int, batch_size: int, seed: int) -> None:
         self.source = source
-        self.neighbors = neighbors
-        self.patches_per_cloud = patches_per_cloud
+        self.queries_per_cloud = queries_per_cloud
         self.batch_size = batch_size
         self.seed = seed
 
+    def index(self, cloud: LabeledCloud) -> _Index:
+        """Return what finds the neighborhoods of a cloud."""
+        raise NotImplementedError
+
+    def gather(self, cloud: LabeledCloud, index: _Index, queries: NDArray[np.int64]) -> _Made:
+        """Return the neighborhoods of (B,) queries of a cloud."""
+        raise NotImplementedError
+
+    def join(self, parts: list[_Made]) -> _Made:
+        """Return one batch of several."""
+        raise NotImplementedError
+
     @property
     def batches_per_epoch(self) -> int:
-        return self.source.clouds_per_epoch * self.patches_per_cloud // self.batch_size
+        return self.source.clouds_per_epoch * self.queries_per_cloud // self.batch_size
 
-    def epoch(self, epoch: int, first: int = 0) -> Iterator[Batch]:
+    def epoch(self, epoch: int, first: int = 0) -> Iterator[_Made]:
         """The batches of an epoch from number `first` on; a thread prepares them ahead.
 
         Raises:
-            InputError: if a cloud has fewer points than a patch.
+            InputError: if a cloud cannot be used.
         """
-        clouds = self._clouds(epoch)
+        clouds = [self.source.cloud(epoch, number, self.seed) for number in range(self.source.clouds_per_epoch)]
+        indices = [self.index(cloud) for cloud in clouds]
         picks = self._picks(epoch, clouds)
 
-        def build(number: int) -> Batch:
-            return self._batch(clouds, picks[number * self.batch_size : (number + 1) * self.batch_size])
+        def build(number: int) -> _Made:
+            chosen = picks[number * self.batch_size : (number + 1) * self.batch_size]
+            several = np.unique(chosen[:, 0])
+            return self.join([self.gather(clouds[n], indices[n], chosen[chosen[:, 0] == n, 1]) for n in several])
 
         with ThreadPoolExecutor(1) as thread:
             yield from made_ahead(thread, build, range(first, self.batches_per_epoch))
 
-    def _clouds(self, epoch: int) -> list[tuple[LabeledCloud, NeighborIndex]]:
-        clouds = []
-        for index in range(self.source.clouds_per_epoch):
-            cloud = self.source.cloud(epoch, index, self.seed)
-            clouds.append((cloud, NeighborIndex(cloud.points, threads=1)))
-        return clouds
-
-    def _picks(self, epoch: int, clouds: list[tuple[LabeledCloud, NeighborIndex]]) -> NDArray[np.int64]:
+    def _picks(self, epoch: int, clouds: list[LabeledCloud]) -> NDArray[np.int64]:
         """(P, 2) pairs of cloud and query, shuffled."""
         rng = np.random.default_rng([self.seed, epoch, 1])
         pairs = []
-        for number, (cloud, _) in enumerate(clouds):
-            drawn = rng.choice(len(cloud.points), self.patches_per_cloud, len(cloud.points) < self.patches_per_cloud)
+        for number, cloud in enumerate(clouds):
+            candidates = labeled_points(cloud)
+            drawn = rng.choice(candidates, self.queries_per_cloud, len(candidates) < self.queries_per_cloud)
             pairs.append(np.stack([np.full_like(drawn, number), drawn], axis=1))
         return rng.permutation(np.concatenate(pairs))
 
-    def _batch(self, clouds: list[tuple[LabeledCloud, NeighborIndex]], picks: NDArray[np.int64]) -> Batch:
-        parts = []
-        for number in np.unique(picks[:, 0]):
-            cloud, index = clouds[number]
-            queries = picks[picks[:, 0] == number, 1]
-            parts.append(labeled_patches(cloud, index, queries, self.neighbors))
+
+class PatchSampler(QuerySampler[NeighborIndex, Batch]):
+    """Draws batches of patches; see `QuerySampler`.
+
+    Args:
+        source: of the clouds.
+        neighbors: points in a patch; a cloud with fewer raises InputError.
+        patches_per_cloud, batch_size, seed: see `QuerySampler`.
+    """
+
+    def __init__(self, source: DataSource, neighbors: int, patches_per_cloud: int, batch_size: int, seed: int) -> None:
+        super().__init__(source, patches_per_cloud, batch_size, seed)
+        self.neighbors = neighbors
+
+    def index(self, cloud: LabeledCloud) -> NeighborIndex:
+        return NeighborIndex(cloud.points, threads=1)
+
+    def gather(self, cloud: LabeledCloud, index: NeighborIndex, queries: NDArray[np.int64]) -> Batch:
+        return labeled_patches(cloud, index, queries, self.neighbors)
+
+    def join(self, parts: list[Batch]) -> Batch:
         return Batch(torch.cat([p.points for p in parts]), torch.cat([p.normals for p in parts]))
+
+
+def labeled_points(cloud: LabeledCloud) -> NDArray[np.int64]:
+    """Rows of the points of a cloud that have a true normal."""
+    return np.arange(len(cloud.points)) if cloud.labeled is None else np.flatnonzero(cloud.labeled)
 
 
 def labeled_patches(cloud: LabeledCloud, index: NeighborIndex, queries: NDArray[np.int64], neighbors: int) -> Batch:

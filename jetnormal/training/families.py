@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jetnormal.errors import UsageError
 from jetnormal.support.device import resolve_device, torch_threads, worker_pool
 from jetnormal.support.options import OptionSet
 from jetnormal.support.suggest import did_you_mean
-from jetnormal.training.options import CloudTraining, LossWeights, PatchTraining, TrainOptions
+from jetnormal.training.options import CloudTraining, IterTraining, LossWeights, PatchTraining, TrainOptions
 from jetnormal.training.trainer import Task
+
+if TYPE_CHECKING:
+    from jetnormal.networks.nestinet import NestiNetConfig
+    from jetnormal.networks.pcpnet import PCPNetConfig
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class Family:
 
 
 def family(name: str) -> Family:
-    """Find a kind of networks by its name, "patchfit" or "cloudfit".
+    """Find a kind of networks by its name, such as "patchfit" or "cloudfit".
 
     Raises:
         UsageError: there is none.
@@ -74,4 +78,53 @@ def _cloudfit() -> Family:
     return Family(CloudFitConfig, CloudTraining, None, task)
 
 
-_FAMILIES = {"patchfit": _patchfit, "cloudfit": _cloudfit}
+def _iternet() -> Family:
+    from jetnormal.networks.iternet import IterNetConfig
+    from jetnormal.training.iter_task import IterTask
+
+    @contextmanager
+    def task(
+        config: IterNetConfig, options: IterTraining, _: None, device: str, threads: int | None
+    ) -> Iterator[Task[Any]]:
+        if device not in ("auto", "cpu"):
+            raise UsageError(f"iternet trains on the CPU, not on {device}")
+        with worker_pool(threads) as pool:
+            yield IterTask(config, options, pool)
+
+    return Family(IterNetConfig, IterTraining, None, task)
+
+
+def _balls(config: type) -> Family:
+    from jetnormal.training.ball_task import BallTask
+
+    @contextmanager
+    def task(
+        config: PCPNetConfig | NestiNetConfig, options: PatchTraining, _: None, device: str, threads: int | None
+    ) -> Iterator[Task[Any]]:
+        if options.batch_size < 2:
+            raise UsageError("the batch size is 2 or more: networks on balls normalize over a batch")
+        with torch_threads(threads):
+            yield BallTask(config, options, resolve_device(device))
+
+    return Family(config, PatchTraining, None, task)
+
+
+def _pcpnet() -> Family:
+    from jetnormal.networks.pcpnet import PCPNetConfig
+
+    return _balls(PCPNetConfig)
+
+
+def _nestinet() -> Family:
+    from jetnormal.networks.nestinet import NestiNetConfig
+
+    return _balls(NestiNetConfig)
+
+
+_FAMILIES = {
+    "patchfit": _patchfit,
+    "cloudfit": _cloudfit,
+    "iternet": _iternet,
+    "pcpnet": _pcpnet,
+    "nestinet": _nestinet,
+}

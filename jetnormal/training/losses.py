@@ -1,4 +1,4 @@
-"""Losses of the patch networks (Du et al., CVPR 2023, eqs. 7, 11 and 12) and of CloudFit.
+"""Losses of the patch networks (Du et al., CVPR 2023, eqs. 7, 11 and 12) and of the other networks.
 
 Normals have no sign here: what compares two directions is the same for n and -n.
 """
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jetnormal.networks.cloudfit.network import CloudPrediction  # brings numba along
 
 FLOOR = 0.02  # radians: what is below is good enough for CloudFit
+ITERNET_FLOOR = 0.05  # radians
 SURE = math.radians(10)
 
 
@@ -108,5 +109,26 @@ def _square(estimated: Tensor, true: Tensor) -> Tensor:
     return 2 * (1 - (estimated * true).sum(1).abs()).clamp_min(0)
 
 
-def _rms(estimated: Tensor, true: Tensor) -> Tensor:
-    return (_square(estimated, true).mean() + FLOOR**2).sqrt()
+def _rms(estimated: Tensor, true: Tensor, floor: float = FLOOR) -> Tensor:
+    return (_square(estimated, true).mean() + floor**2).sqrt()
+
+
+def iternet_loss(estimated: Tensor, true: Tensor) -> Tensor:
+    """IterNet's: the root mean square of the chords between (N, 3) directions, ITERNET_FLOOR as one of its parts.
+
+    Published is their mean; the root mean square is what is measured.
+    """
+    return _rms(estimated, true, ITERNET_FLOOR)
+
+
+def pcpnet_loss(predicted: Tensor, normals: Tensor) -> Tensor:
+    """PCPNet's: the mean squared distance from (B, 3) predictions of any length to the nearer of n and -n."""
+    squares = [(predicted - normals).square().sum(1), (predicted + normals).square().sum(1)]
+    return torch.minimum(*squares).mean()
+
+
+def nestinet_loss(answers: tuple[Tensor, Tensor], true: Tensor) -> Tensor:
+    """Nesti-Net's: the mean of twice the sines of (B, E, 3) normals of experts to (B, 3) true ones, by probability."""
+    normals, probabilities = answers
+    sines = sine(F.normalize(normals, dim=2), true[:, None].expand_as(normals))
+    return 2 * (probabilities * sines).sum(1).mean()

@@ -105,14 +105,18 @@ class TrainOptions(OptionSet):
     ] = 1
     batch_size: Annotated[int, Option("Patches, or crops, in a step.", low=1, flag=False)] = 256
     optimizer: Annotated[
-        Literal["adam", "adamw"], Option("Adam, or AdamW, whose weight decay is no part of the gradient.", flag=False)
+        Literal["adam", "adamw", "sgd"],
+        Option(
+            "Adam; AdamW, whose weight decay is no part of the gradient; or descent with a momentum of 0.9.", flag=False
+        ),
     ] = "adam"
     learning_rate: Annotated[float, Option("Of the optimizer, at its highest.", low=0, high=1000, flag=False)] = 1e-3
     weight_decay: Annotated[float, Option("Of the optimizer.", low=0, flag=False)] = 1e-7
     schedule: Annotated[
-        Literal["step", "cosine", "warm-cosine"],
+        Literal["step", "cosine", "warm-cosine", "constant"],
         Option(
-            "Of the rate: a tenth after 3/7 and 11/14 of the epochs, a cosine to 0, or the cosine after a short rise.",
+            "Of the rate: a tenth after 3/7 and 11/14 of the epochs, a cosine to 0, the cosine after a short rise, "
+            "or none.",
             flag=False,
         ),
     ] = "step"
@@ -147,6 +151,17 @@ class CloudTraining(TrainOptions):
         int, Option("Points of a crop, about half of which are learned from.", low=64, flag=False)
     ] = 8000
     crops_per_cloud: Annotated[int, Option("Crops of each cloud in an epoch.", low=1, flag=False)] = 12
+
+
+@dataclass(frozen=True)
+class IterTraining(TrainOptions):
+    """How IterNet is trained; what made the packaged weights is the recipe `iternet`."""
+
+    crop_points: Annotated[int, Option("Points of a crop, half of which are learned from.", low=64, flag=False)] = 1000
+    crops_per_cloud: Annotated[int, Option("Crops of each cloud in an epoch.", low=1, flag=False)] = 24
+    bfloat16: Annotated[bool, Option("Multiply matrices in bfloat16, but never in the fit: faster.", flag=False)] = (
+        False
+    )
 
 
 @dataclass(frozen=True)

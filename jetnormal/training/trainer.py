@@ -186,6 +186,8 @@ def learning_rate(share: float, options: TrainOptions) -> float:
     """The rate after a share, in [0, 1), of the training."""
     if options.schedule == "step":
         return options.learning_rate * 0.1 ** sum(share >= drop for drop in DROPS)
+    if options.schedule == "constant":
+        return options.learning_rate
     rise = min(1.0, share / WARM_UP + 0.01) if options.schedule == "warm-cosine" else 1.0
     return options.learning_rate * rise * (1 + math.cos(math.pi * share)) / 2
 

@@ -7,9 +7,13 @@ import pytest
 import torch
 
 from jetnormal.cli.app import main
+from jetnormal.evaluation import cost
+from jetnormal.evaluation.cost import of_model
 from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
+from jetnormal.networks.iternet import IterNetConfig
 from jetnormal.networks.packaged import packaged_names
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig, parameter_count
+from jetnormal.networks.pcpnet import PCPNetConfig
 
 TINY = PatchFitConfig("graphfit", neighbors=32, width=0.125, light=True, offsets=True)
 
@@ -59,17 +63,30 @@ def test_files_without_an_error_have_none(trained, monkeypatch, capsys):
 
 def test_the_papers_networks_are_listed(monkeypatch, capsys):
     assert run(monkeypatch, "--complexity", "--no-measure", "--json") == 0
-    found = json.loads(capsys.readouterr().out)["models"]
-    assert [one["parameters"] for one in found] == [
-        3_530_245, 4_174_024, 4_259_336, 3_734_468, 4_378_247, 4_463_559,
-    ]  # fmt: skip
-    sizes = [13.53, 16.14, 16.38, 14.26, 16.85, 17.09]  # the paper's MB are 2^20 bytes
-    assert [one["megabytes"] / 1.048576 for one in found] == pytest.approx(sizes, rel=0.01)
-    operations = [one["gflop_per_point"] for one in found]
-    assert operations[2] > 3 * operations[1] > 3 * operations[0]
-    assert operations[5] > 3 * operations[3]
-    assert run(monkeypatch, "--complexity", "--no-measure") == 0
-    assert "GraphFit + z-transform + correction, 500 neighbors, order 3" in capsys.readouterr().out
+    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)["models"]}
+    assert {name: one["parameters"] for name, one in found.items()} == {
+        "PCPNet": 22_362_055, "Nesti-Net": 178_382_710, "IterNet": 7_981,
+        "DeepFit": 3_530_245, "AdaFit": 4_174_024, "GraphFit": 4_259_336,
+        "DeepFit + both": 3_734_468, "AdaFit + both": 4_378_247, "GraphFit + both": 4_463_559,
+        "CloudFit": of_model("cloudfit").parameters,
+    }  # fmt: skip
+    sizes = [85.41, 13.53, 16.14, 16.38, 14.26, 16.85, 17.09]  # the paper's MB are 2^20 bytes
+    fits = [name for name in found if "Fit" in name and name != "CloudFit"]
+    assert [found[name]["megabytes"] / 1.048576 for name in ["PCPNet", *fits]] == pytest.approx(sizes, rel=0.01)
+    operations = {name: one["gflop_per_point"] for name, one in found.items()}
+    assert operations["GraphFit"] > 3 * operations["AdaFit"] > 3 * operations["DeepFit"]
+    assert operations["GraphFit + both"] > 3 * operations["DeepFit + both"]
+    assert operations["Nesti-Net"] > operations["PCPNet"] > operations["DeepFit"] > 10 * operations["IterNet"]
+
+
+def test_the_papers_table_tells_names_and_settings(monkeypatch, capsys):
+    rows = [("IterNet", "iternet", IterNetConfig()), ("PCPNet", "pcpnet", PCPNetConfig(width=0.125))]
+    monkeypatch.setattr(cost, "paper_configurations", lambda: rows)
+    assert run(monkeypatch, "--complexity", "--threads", "1") == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "IterNet: IterNet, 64 neighbors, 4 iterations" in shown
+    assert "PCPNet: PCPNet, 3 balls of 500 points, 0.125 of the channels" in shown
+    assert "ms/point" in shown
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import torch
 
 import jetnormal
 from jetnormal.errors import ModelError, UsageError
-from jetnormal.estimators.factory import make_estimator, model_file, model_names
+from jetnormal.estimators.factory import make_estimator, model_file, model_names, spelled_out
 from jetnormal.estimators.patchwise import network_estimator
 from jetnormal.networks.checkpoint import save_model
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
@@ -70,6 +70,16 @@ def test_names_are_those_that_can_be_made():
     for name in model_names():
         assert make_estimator(name).name.startswith(name)
         assert (model_file(name) is None) == (name in ("pca", "jet"))
+
+
+def test_presets_are_the_neighborhoods_of_the_literature():
+    names = spelled_out(["cloudfit", "traditional"])
+    assert names == ["cloudfit", "pca:small", "pca:medium", "pca:large", "jet:small", "jet:medium", "jet:large"]
+    assert [make_estimator(name).neighbors for name in names[1:]] == [18, 112, 450, 18, 122, 450]
+    assert make_estimator("jet:medium").name == "jet:k=122,order=2"
+    assert model_file("jet:medium") is None
+    with pytest.raises(ModelError):
+        make_estimator("pca:tiny")
 
 
 def test_a_model_file_takes_settings_after_a_colon(model):

@@ -9,8 +9,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from jetnormal.networks.nestinet import NestiNet, NestiNetConfig, _local_mean, fisher_vectors, nestinet_loss
+from jetnormal.networks.nestinet import NestiNet, NestiNetConfig, _local_mean, fisher_vectors
 from jetnormal.networks.patchfit.network import parameter_count
+from jetnormal.training.losses import nestinet_loss
 
 TINY = NestiNetConfig(points=24, width=0.0625)
 
@@ -78,8 +79,8 @@ def test_the_likeliest_expert_is_asked():
 def test_the_loss_is_twice_the_likely_experts_sine():
     true = torch.tensor([[0.0, 0, 1]])
     normals = torch.tensor([[[0.0, 0, -3], [2, 0, 0]]])
-    assert nestinet_loss(normals, torch.tensor([[1.0, 0]]), true).item() == pytest.approx(0, abs=1e-6)
-    assert nestinet_loss(normals, torch.tensor([[0.25, 0.75]]), true).item() == pytest.approx(1.5, abs=1e-6)
+    assert nestinet_loss((normals, torch.tensor([[1.0, 0]])), true).item() == pytest.approx(0, abs=1e-6)
+    assert nestinet_loss((normals, torch.tensor([[0.25, 0.75]])), true).item() == pytest.approx(1.5, abs=1e-6)
 
 
 def test_it_learns_and_every_parameter_takes_part():
@@ -90,7 +91,7 @@ def test_it_learns_and_every_parameter_takes_part():
     optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
     losses = []
     for _ in range(12):
-        loss = nestinet_loss(*network(points, counts), true)
+        loss = nestinet_loss(network(points, counts), true)
         optimizer.zero_grad()
         loss.backward()
         assert all(parameter.grad is not None and parameter.grad.isfinite().all() for parameter in network.parameters())

@@ -7,7 +7,8 @@ import torch
 import torch.nn.functional as F
 
 from jetnormal.networks.patchfit.network import parameter_count
-from jetnormal.networks.pcpnet import PCPNet, PCPNetConfig, pcpnet_loss
+from jetnormal.networks.pcpnet import PCPNet, PCPNetConfig
+from jetnormal.training.losses import pcpnet_loss
 
 TINY = PCPNetConfig(points=20, width=0.125)
 
