@@ -68,7 +68,8 @@ def train(
     """Train a network from clouds with known normals, from meshes, or from procedural solids.
 
     A recipe is a TOML file, or the name of one that comes along: cloudfit; deepfit, adafit and graphfit, each as
-    -paper (with the paper's two additions), -baseline (without them) and -small (narrow, for a CPU).
+    -paper (with the paper's two additions), -baseline (without them) and -small (narrow, for a CPU); and pcpnet-paper,
+    nestinet-paper, iternet and others, which docs/training.md lists.
     --recipe NAME --show prints one, to start your own from.
 
     RUN gets config.toml (the whole recipe), model.safetensors (for jetnormal estimate --model), metrics.csv and what

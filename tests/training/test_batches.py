@@ -134,8 +134,8 @@ def test_an_epoch_that_is_left_early_ends_its_thread():
 
 def test_batches_are_made_ahead_but_not_all_at_once(monkeypatch):
     made = []
-    build = PatchSampler._batch
-    monkeypatch.setattr(PatchSampler, "_batch", lambda self, *args: made.append(1) or build(self, *args))
+    build = PatchSampler.join
+    monkeypatch.setattr(PatchSampler, "join", lambda self, *args: made.append(1) or build(self, *args))
     source = Spheres(points=500)
     batches = sampler(source, patches_per_cloud=200).epoch(0)
     for _ in range(3):
