@@ -101,6 +101,14 @@ def test_commands_name_files_of_the_repository(page):
         assert (ROOT / script).is_file(), f"{page} names {script}"
 
 
+def test_links_within_the_repository_lead_somewhere():
+    """The site's own links are checked when it is built; these are read on a forge or in an editor."""
+    others = [f"{folder}/README.md" for folder in ("samples", "models", "benchmarks/results")]
+    for page in ["README.md", "CHANGELOG.md", *CARDS, *others]:
+        for link in re.findall(r"\]\(([^)#]+)", (ROOT / page).read_text()):
+            assert "://" in link or (ROOT / page).parent.joinpath(link).exists(), f"{page}: {link}"
+
+
 def test_the_readme_is_short_and_its_numbers_stand_in_the_results():
     text = (ROOT / "README.md").read_text()
     assert len(text.splitlines()) <= 120
