@@ -71,8 +71,13 @@ def test_the_viewpoint_may_change_from_call_to_call():
     est = Estimator("pca")
     for viewpoint in ([0, 0, 0], np.array([0, 0, 0.0])):
         inward = est(sphere(), viewpoint=viewpoint)
-        assert inward.orient == "viewpoint" and ((inward.normals * sphere()).sum(axis=1) < 0).all()
-    assert est(sphere()).orient == "global"
+        assert (
+            inward.orient == "viewpoint"
+            and inward.reason == "a viewpoint was given"
+            and ((inward.normals * sphere()).sum(axis=1) < 0).all()
+        )
+    outward = est(sphere())
+    assert outward.orient == "global" and outward.reason == "no viewpoint is known: outward"
 
 
 def test_results_have_the_shape_of_the_points():

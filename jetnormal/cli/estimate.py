@@ -192,12 +192,13 @@ def report(summary: dict[str, Any]) -> None:
     """Log what was done, and what the user should know about it."""
     report_warnings(summary)
     logger.info(
-        "wrote %s: %s of %s points have normals (model %s, signs %s; %.1f s, %s points/s)",
+        "wrote %s: %s of %s points have normals (model %s, signs %s: %s; %.1f s, %s points/s)",
         summary["output"],
         f"{summary['valid']:,}",
         f"{summary['points']:,}",
         summary["model"],
         summary["orient"],
+        summary["orient_reason"],
         sum(summary["seconds"].values()),
         f"{summary['points_per_second']:,.0f}",
     )

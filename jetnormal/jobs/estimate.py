@@ -41,6 +41,7 @@ class Result:
         sign_confidence: (N,) float32, 0 to 1, how sure each sign is (`orientation.methods.Orientation`).
         model: what estimated the normals, with its settings.
         orient: the method that chose the signs.
+        reason: why that method.
         warnings: what a user should know.
         seconds: wall-clock time by stage: clean, estimate, orient.
     """
@@ -51,6 +52,7 @@ class Result:
     sign_confidence: NDArray[np.float32]
     model: str
     orient: str
+    reason: str
     warnings: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -93,7 +95,7 @@ def estimate_file(
         overwrite: whether an existing output may be replaced.
 
     Returns:
-        A summary: input, output, points, valid (with a normal), model, orient, seconds (by stage),
+        A summary: input, output, points, valid (with a normal), model, orient, orient_reason, seconds (by stage),
         points_per_second (of estimation and orientation), peak_memory_mb, warnings.
 
     Raises:
@@ -148,6 +150,7 @@ def run_file(
         "valid": valid,
         "model": result.model,
         "orient": result.orient,
+        "orient_reason": result.reason,
         "seconds": timer.seconds,
         "points_per_second": round(valid / busy) if busy else None,
         "peak_memory_mb": peak_memory_mb(),
@@ -170,7 +173,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
     from jetnormal.geometry.neighbors import distinct
     from jetnormal.geometry.scale import unit_scale
     from jetnormal.orientation.methods import choose_signs
-    from jetnormal.orientation.policy import seen_from_origin, sign_method, sign_warnings
+    from jetnormal.orientation.policy import seen_from_origin, sign_method, sign_reason, sign_warnings
 
     method, viewpoint = sign_method(options, cloud)
     with timer.stage("clean"):
@@ -212,6 +215,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         spread(orientation.confidence),
         name,
         method,
+        sign_reason(options, cloud, method, from_origin is not None),
         tuple(warnings),
         {stage: timer.seconds[stage] for stage in ("clean", "estimate", "orient")},
     )

@@ -83,6 +83,29 @@ def seen_from_origin(
     return replace(orientation, normals=normals)
 
 
+def sign_reason(options: SignOptions, cloud: Cloud, method: Method, from_origin: bool) -> str:
+    """Say in one line why a method chose the signs.
+
+    Args:
+        options: of the user.
+        cloud: whose normals they are.
+        method: what `sign_method` took.
+        from_origin: whether `seen_from_origin` applies.
+    """
+    if options.viewpoint_attribute is not None:
+        return f"the attributes {', '.join(options.viewpoint_attribute)} tell where each point was seen from"
+    if options.viewpoint is not None:
+        return "a viewpoint was given"
+    if method == "viewpoint":
+        what = "where each point was seen from" if cloud.source.sensors is not None else "where its sensor stood"
+        return f"the file tells {what}"
+    if options.orient != "auto":
+        return "it was asked for"
+    if from_origin:
+        return "no viewpoint is known; open surfaces look to the origin, where a sensor seems to have stood"
+    return "no viewpoint is known: outward"
+
+
 def sign_warnings(orientation: Orientation, viewpoint: NDArray[np.float64] | None, from_origin: bool) -> list[str]:
     """What a user should know about the signs."""
     warnings = []

@@ -25,6 +25,7 @@ SUMMARY = {
     "valid": 990,
     "model": "jet",
     "orient": "mst",
+    "orient_reason": "it was asked for",
     "seconds": {"read": 0.5, "estimate": 1.5},
     "points_per_second": 660.0,
     "peak_memory_mb": 120.0,
