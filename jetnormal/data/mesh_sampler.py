@@ -10,6 +10,7 @@ from scipy import sparse
 
 from jetnormal.errors import InputError
 from jetnormal.formats.meshes import read_mesh
+from jetnormal.geometry.vectors import unit
 from jetnormal.mesh import Mesh
 
 CREASE_DEGREES = 35.0  # neighbouring faces that turn by more meet in a sharp edge
@@ -53,11 +54,11 @@ class MeshSampler:
         self.mesh = mesh
         if corner_normals is None:
             inward = _encloses_negative_volume(corners, doubled)
-            self.face_normals = _unit(-doubled if inward else doubled)
+            self.face_normals = unit(-doubled if inward else doubled)
             self._corner_normals = _corner_normals(mesh.faces, corners, self.face_normals)
         else:
             side = np.sign((doubled * corner_normals.sum(1)).sum(1, keepdims=True))
-            self.face_normals = _unit(side * doubled)
+            self.face_normals = unit(side * doubled)
             self._corner_normals = corner_normals
 
     @property
@@ -85,14 +86,14 @@ class MeshSampler:
         weights = np.stack([1 - u - v, u, v], axis=1)[:, None, :]
         points = (weights @ self.mesh.vertices[self.mesh.faces[face]])[:, 0]
         normals = (weights @ self._corner_normals[face])[:, 0]
-        return points, _unit(normals, otherwise=self.face_normals[face])
+        return points, unit(normals, otherwise=self.face_normals[face])
 
 
 def _corner_normals(
     faces: NDArray[np.int64], corners: NDArray[np.float64], face_normals: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Normals of the faces' corners, (F, 3, 3), averaged by angle inside each smoothing group."""
-    edges = _unit(np.roll(corners, -1, axis=1) - corners)
+    edges = unit(np.roll(corners, -1, axis=1) - corners)
     angles = np.arccos(np.clip(-(edges * np.roll(edges, 1, axis=1)).sum(2), -1, 1)).reshape(-1)
     corner = np.arange(faces.size)
     incidence = sparse.csr_matrix((np.ones(faces.size, np.int8), (corner, faces.reshape(-1))))
@@ -102,7 +103,7 @@ def _corner_normals(
     row, col = pairs.row[smooth], pairs.col[smooth]
     weights = sparse.csr_matrix((angles[col], (row, col)), shape=(faces.size, faces.size))
     own = np.repeat(face_normals, 3, axis=0)
-    return _unit(weights @ own, otherwise=own).reshape(-1, 3, 3)
+    return unit(weights @ own, otherwise=own).reshape(-1, 3, 3)
 
 
 def _encloses_negative_volume(corners: NDArray[np.float64], doubled: NDArray[np.float64]) -> bool:
@@ -114,10 +115,3 @@ def _encloses_negative_volume(corners: NDArray[np.float64], doubled: NDArray[np.
     closed = np.linalg.norm(doubled.sum(0)) <= 1e-6 * np.linalg.norm(doubled, axis=1).sum()
     centred = corners[:, 0] - corners[:, 0].mean(0)
     return bool(closed and (centred * doubled).sum() < 0)
-
-
-def _unit(vectors: NDArray[np.float64], otherwise: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-    """Scale vectors (..., 3) to length one; those without a direction become `otherwise`."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    directed = length > 1e-30
-    return np.where(directed, vectors / np.where(directed, length, 1.0), otherwise)

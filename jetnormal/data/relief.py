@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.geometry.vectors import unit
+
 Floats = NDArray[np.float64]
 
 WAVES = 24  # plane waves in a relief
@@ -52,7 +54,7 @@ def add_relief(points: Floats, normals: Floats, rng: np.random.Generator) -> tup
     gradient = mask[:, None] * gradient + height[:, None] * mask_gradient
     along = gradient - (gradient * normals).sum(axis=1, keepdims=True) * normals
     tilted = normals - along
-    return points + (mask * height)[:, None] * normals, tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
+    return points + (mask * height)[:, None] * normals, unit(tilted)
 
 
 def _noise(points: Floats, normals: Floats, rng: np.random.Generator) -> float:
@@ -67,5 +69,4 @@ def _noise(points: Floats, normals: Floats, rng: np.random.Generator) -> float:
 
 def _directions(count: int, rng: np.random.Generator) -> Floats:
     """(count, 3) unit vectors."""
-    vectors = rng.normal(size=(count, 3))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return unit(rng.normal(size=(count, 3)))

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import ResourceError
+from jetnormal.geometry.vectors import unit
 from jetnormal.rendering.camera import camera_axes, view_direction
 from jetnormal.rendering.light import BACKGROUNDS
-from jetnormal.rendering.scene import CLAY, SURE, UNSURE, Scene, unit
+from jetnormal.rendering.scene import CLAY, SURE, UNSURE, Scene
 from jetnormal.rendering.surfels import DISK_RADIUS, spacing
 from jetnormal.support.open3d_loader import import_open3d
 

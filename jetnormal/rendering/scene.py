@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError
 from jetnormal.formats.colors import normal_colors, point_colors
+from jetnormal.geometry.vectors import unit
 from jetnormal.mesh import Mesh
 
 Floats = NDArray[np.float64]
@@ -154,10 +155,3 @@ def _colored(scene: Scene, coloring: str) -> Scene:
 
 def _centered(points: Floats) -> Floats:
     return points - (points.min(axis=0) + points.max(axis=0)) / 2
-
-
-def unit(vectors: Floats) -> Floats:
-    """Unit vectors, zero where there is no direction."""
-    vectors = np.where(np.isfinite(vectors).all(axis=1, keepdims=True), vectors, 0)
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1))

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from jetnormal.data.scanners.scan import Scan, log_uniform, merged, unit
+from jetnormal.data.scanners.scan import Scan, log_uniform, merged
+from jetnormal.geometry.vectors import unit
 
 OUTLIERS_SHARE = 0.15  # of the clouds; likewise below
 DUPLICATES_SHARE = 0.12

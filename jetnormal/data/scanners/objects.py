@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from jetnormal.data.scanners.devices import camera_errors, lidar_errors, station_errors, stripe_errors
 from jetnormal.data.scanners.range_errors import RandomField, RangeErrors
 from jetnormal.data.scanners.rasters import Pinhole, Sampling, Spherical, Sweep, read_raster, window_of
-from jetnormal.data.scanners.scan import Scan, axes_along, log_uniform, merged, registration_errors, unit
+from jetnormal.data.scanners.scan import Scan, axes_along, log_uniform, merged, registration_errors
 from jetnormal.data.scanners.targets import Floats, Target
+from jetnormal.geometry.vectors import unit
 
 
 def _stripe(target: Target, count: int, rng: np.random.Generator, errors: RangeErrors | None = None) -> Scan:

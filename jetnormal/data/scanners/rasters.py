@@ -11,8 +11,9 @@ from typing import Protocol
 import numpy as np
 
 from jetnormal.data.scanners.range_errors import RangeErrors
-from jetnormal.data.scanners.scan import Scan, unit
+from jetnormal.data.scanners.scan import Scan
 from jetnormal.data.scanners.targets import Floats, Target
+from jetnormal.geometry.vectors import unit
 
 
 class Raster(Protocol):

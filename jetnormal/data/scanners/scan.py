@@ -9,6 +9,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.geometry.vectors import unit
+
 Floats = NDArray[np.float64]
 
 
@@ -70,7 +72,3 @@ def axes_along(forward: Floats, up: Floats) -> Floats:
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(low * (high / low) ** rng.random())
-
-
-def unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

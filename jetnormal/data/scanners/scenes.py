@@ -14,6 +14,7 @@ from jetnormal.data.scanners.rasters import Pinhole, Profile, Sampling, Spherica
 from jetnormal.data.scanners.scan import Scan, axes_along, log_uniform, merged, registration_errors
 from jetnormal.data.scanners.targets import Floats, MeshTarget
 from jetnormal.data.scenes.layout import Scene
+from jetnormal.geometry.vectors import unit
 
 UP = np.array([0.0, 0.0, 1.0])
 ROOM_TO_STAND = 0.25  # meters between a sensor and the nearest surface
@@ -120,7 +121,7 @@ def _mobile(target: SceneTarget, count: int, rng: np.random.Generator) -> Scan:
     start, end = target.trip
     reach = rng.uniform(4, 10) * target.meter
     device = _scaled(lidar_errors(rng, 10.0, log_uniform(rng, 1e-3, 3e-2)), target)
-    axes = np.stack([np.cross(_unit(end - start), UP), _unit(end - start), UP])
+    axes = np.stack([np.cross(unit(end - start), UP), unit(end - start), UP])
     raster = Profile(start, axes, reach, lean=rng.choice([-1, 0, 1]) * rng.uniform(0, 1))
     whole = float(np.linalg.norm(end - start))
     first, part = rng.uniform(0, 0.5) * whole, rng.uniform(0.15, 0.5) * whole
@@ -135,7 +136,7 @@ def _airborne(target: SceneTarget, count: int, rng: np.random.Generator) -> Scan
     device = _scaled(lidar_errors(rng, 500.0, log_uniform(rng, 5e-3, 0.1)), target)
     device = replace(device, range_power=0.0)
     registration = registration_errors(rng, 0.01 * target.meter, 0.2 * target.meter)
-    forward = _unit(target.trip[1] - target.trip[0])
+    forward = unit(target.trip[1] - target.trip[0])
     across = np.cross(forward, UP)
     ground = target.stands[:, 2].mean()
     high = float(target.trip[0, 2] - ground)
@@ -203,7 +204,3 @@ def _angles(rng: np.random.Generator, half_turn: float, low: float, high: float)
 def _level(heading: float) -> Floats:
     """Upright axes whose forward direction has a heading."""
     return axes_along(np.array([np.cos(heading), np.sin(heading), 0.0]), UP)
-
-
-def _unit(vector: Floats) -> Floats:
-    return np.asarray(vector / np.linalg.norm(vector))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jetnormal.data.scenes.surfaces import (
     Floats,
@@ -22,6 +21,7 @@ from jetnormal.data.scenes.surfaces import (
     wall,
 )
 from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
+from jetnormal.geometry.vectors import unit
 
 Rng = np.random.Generator
 
@@ -299,7 +299,7 @@ def tree(rng: Rng) -> Piece:
     pieces = [frustum([0, 0, 0], top, radius, radius * 0.4)]
     for _ in range(rng.integers(3, 12)):
         start = top * rng.uniform(0.4, 1.0)
-        end = start + height * rng.uniform(0.1, 0.3) * _unit(rng.normal(size=3) + np.array([0, 0, 0.6]))
+        end = start + height * rng.uniform(0.1, 0.3) * unit(rng.normal(size=3) + np.array([0, 0, 0.6]))
         pieces.append(frustum(start, end, radius * rng.uniform(0.15, 0.4), 0.01))
     wide, kind = height * rng.uniform(0.15, 0.35), rng.random()
     middle = [*top[:2], height - wide]
@@ -391,10 +391,6 @@ def facade(rng: Rng, length: float, height: float) -> Piece:
     if rng.random() < 0.4:
         pieces.append(frustum([length - 0.2, 0.36, 0], [length - 0.2, 0.36, height], 0.05))
     return joined(pieces)
-
-
-def _unit(vector: ArrayLike) -> Floats:
-    return np.asarray(vector) / np.linalg.norm(vector)
 
 
 FURNITURE: tuple[Callable[[Rng], Piece], ...] = (table, table, chair, chair, lamp, pot_plant, tank, ottoman, person)

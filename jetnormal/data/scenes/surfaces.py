@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jetnormal.data.solids.grids import open_grid_faces
 from jetnormal.data.solids.starshaped import StarShaped
+from jetnormal.geometry.vectors import unit
 
 Floats = NDArray[np.float64]
 
@@ -104,7 +105,7 @@ def tube(path: Sequence[ArrayLike], radius: float, bend: float) -> Piece:
     corners = [np.asarray(point, dtype=np.float64) for point in path]
     pieces, begin = [], corners[0]
     for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
-        into, out = _unit(corner - before), _unit(after - corner)
+        into, out = unit(corner - before), unit(after - corner)
         turn = float(np.arccos(np.clip(into @ out, -1, 1)))
         if turn < 1e-6:
             continue
@@ -116,7 +117,7 @@ def tube(path: Sequence[ArrayLike], radius: float, bend: float) -> Piece:
 
 
 def _elbow(start: Floats, into: Floats, out: Floats, turn: float, radius: float, bend: float) -> Piece:
-    inner = _unit(out - (out @ into) * into)  # toward the middle of the arc
+    inner = unit(out - (out @ into) * into)  # toward the middle of the arc
     middle, across = start + bend * inner, np.cross(into, inner)
     swept = np.linspace(0, turn, 13)[:, None, None]
     outward = -np.cos(swept) * inner + np.sin(swept) * into
@@ -216,9 +217,5 @@ def sides(radius: float) -> int:
 def perpendicular(axis: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors that make a right-handed frame with the unit vector `axis` as the third."""
     helper = np.eye(3)[np.argmin(np.abs(axis))]
-    first = _unit(np.cross(helper, axis))
+    first = unit(np.cross(helper, axis))
     return first, np.cross(axis, first)
-
-
-def _unit(vector: Floats) -> Floats:
-    return np.asarray(vector / np.linalg.norm(vector))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from jetnormal.data.solids.grids import SIDES, half_circle, revolved
 from jetnormal.data.solids.primitives import Floats, normalized, rejected
+from jetnormal.geometry.vectors import fibonacci_sphere
 from jetnormal.mesh import Mesh
 
 
@@ -18,7 +19,7 @@ class StarShaped:
     """
 
     def __init__(self) -> None:
-        directions = _fibonacci_sphere(8192)
+        directions = fibonacci_sphere(8192)
         density = self._density(directions)
         self._largest_density = 1.15 * density.max()  # the grid may miss the maximum
         self.area = float(4 * np.pi * density.mean())
@@ -102,12 +103,3 @@ class BumpySphere(StarShaped):
         slopes = (np.cos(directions @ self._waves.T + self._phases) * self._amplitudes) @ self._waves
         tangential = slopes - (slopes * directions).sum(axis=1, keepdims=True) * directions
         return normalized(directions - tangential / self._radius(directions)[:, None])
-
-
-def _fibonacci_sphere(count: int) -> NDArray[np.float64]:
-    """Nearly even unit directions, (count, 3)."""
-    index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    angle = np.pi * (1 + np.sqrt(5)) * index
-    rho = np.sqrt(1 - z**2)
-    return np.stack([rho * np.cos(angle), rho * np.sin(angle), z], axis=1)
