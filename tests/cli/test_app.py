@@ -71,6 +71,12 @@ def test_help_of_every_command_shows_an_example_that_runs_it(command):
     assert f"jetnormal {command} " in examples
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_fits_two_screens(command):
+    result = CliRunner().invoke(app, [command, "--help"], terminal_width=120)
+    assert len(result.output.splitlines()) < 90
+
+
 def test_help_lists_every_command_and_exit_code():
     result = CliRunner().invoke(app, ["--help"])
     assert result.exit_code == 0
@@ -313,3 +319,6 @@ def test_shell_completion_completes_commands_and_choices():
 
     assert complete("jetnormal est") == ["estimate"]
     assert complete("jetnormal estimate --orient vi") == ["viewpoint"]
+    assert complete("jetnormal estimate --model clo") == ["cloudfit"]
+    assert complete("jetnormal evaluate --model p") == ["pca"]
+    assert complete("jetnormal models deepf") == ["deepfit-small"]
