@@ -99,20 +99,21 @@ def photographed(target: Target, eyes: Floats, count: int, rng: np.random.Genera
     parts: list[Scan] = []
     found = 0
     while found < count and len(parts) < 6:
-        part = _matched(target, eyes, 2 * count, steepest, rng)
-        strength = texture(part.points)
-        dense = rng.random(len(part)) < np.exp(contrast * (strength - 1))
-        parts.append(part.take(dense & (strength > bare)))
+        points, normals = target.sample(2 * count, rng)
+        strength = texture(points)
+        textured = (rng.random(len(points)) < np.exp(contrast * (strength - 1))) & (strength > bare)
+        parts.append(_matched(target, points[textured], normals[textured], eyes, steepest, rng))
         found += len(parts[-1])
     clean = merged(parts)
     clean = clean if found <= count else clean.take(np.arange(count))
     return replace(clean, points=_bumpy(clean, rng))
 
 
-def _matched(target: Target, eyes: Floats, count: int, steepest: float, rng: np.random.Generator) -> Scan:
-    """Those of `count` points that two random eyes see from the same side, less steeply than by a cosine."""
-    points, normals = target.sample(count, rng)
-    pair = [eyes[rng.integers(len(eyes), size=count)] for _ in range(2)]
+def _matched(
+    target: Target, points: Floats, normals: Floats, eyes: Floats, steepest: float, rng: np.random.Generator
+) -> Scan:
+    """Those of the points (N, 3) that two random eyes see from the same side, less steeply than by a cosine."""
+    pair = [eyes[rng.integers(len(eyes), size=len(points))] for _ in range(2)]
     first, second = ((unit(eye - points) * normals).sum(1) for eye in pair)
     facing = np.flatnonzero((np.minimum(np.abs(first), np.abs(second)) > steepest) & (first * second > 0))
     for eye in pair:

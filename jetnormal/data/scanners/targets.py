@@ -116,7 +116,30 @@ class SolidTarget:
 
     def cast(self, origins: Floats, directions: Floats) -> Hits:
         """See `Target.cast`."""
-        distance, normals = np.full(len(origins), np.inf), np.zeros((len(origins), 3))
+        distance, parts = self._first(origins, directions)
+        normals = np.zeros((len(origins), 3))
+        for number in np.unique(parts[parts >= 0]):
+            own = np.flatnonzero(parts == number)
+            distance[own], outward = self._on_part(number, origins[own], directions[own], distance[own])
+            away = (outward * directions[own]).sum(1) > 0
+            normals[own] = np.where(away[:, None], -outward, outward)
+        return Hits(distance, normals)
+
+    def visible(self, points: Floats, eyes: Floats) -> NDArray[np.bool_]:
+        """See `Target.visible`."""
+        length = np.linalg.norm(eyes - points, axis=1)
+        directions = (eyes - points) / length[:, None]
+        distance, _ = self._first(points + RayCaster.CLEARANCE * directions, directions)
+        return distance > length - 2 * RayCaster.CLEARANCE
+
+    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """See `Target.sample`."""
+        points, normals = self._solid.sample(count, rng)
+        return (points - self.center) / self.size, normals
+
+    def _first(self, origins: Floats, directions: Floats) -> tuple[Floats, NDArray[np.int64]]:
+        """Distance (N,) to the mesh of a part where it is the solid's surface, and the part's number, -1 for none."""
+        distance, parts = np.full(len(origins), np.inf), np.full(len(origins), -1)
         rays, start = np.arange(len(origins)), np.zeros(len(origins))
         for _ in range(self._LONGEST):
             found = self._rays.first(origins[rays] + start[rays, None] * directions[rays], directions[rays])
@@ -125,51 +148,28 @@ class SolidTarget:
             if len(rays) == 0:
                 break
             start[rays] += found.distance[met]
-            exact, outward, exposed = self._on_solid(origins[rays] + start[rays, None] * directions[rays],
-                                                     directions[rays], part)  # fmt: skip
+            places = self.center + self.size * (origins[rays] + start[rays, None] * directions[rays])
+            exposed = np.zeros(len(rays), dtype=bool)
+            for number in np.unique(part):
+                own = part == number
+                behind, ahead = self._solid.sides(places[own], number)
+                exposed[own] = behind != ahead
             here = rays[exposed]
-            distance[here] = start[here] + exact[exposed]
-            away = (outward[exposed] * directions[here]).sum(1) > 0
-            normals[here] = np.where(away[:, None], -outward[exposed], outward[exposed])
+            distance[here], parts[here] = start[here], part[exposed]
             rays = rays[~exposed]
             start[rays] += RayCaster.CLEARANCE / 4
-        return Hits(distance, normals)
+        return distance, parts
 
-    def visible(self, points: Floats, eyes: Floats) -> NDArray[np.bool_]:
-        """See `Target.visible`."""
-        length = np.linalg.norm(eyes - points, axis=1)
-        directions = (eyes - points) / length[:, None]
-        hits = self.cast(points + RayCaster.CLEARANCE * directions, directions)
-        return hits.distance > length - 2 * RayCaster.CLEARANCE
-
-    def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """See `Target.sample`."""
-        points, normals = self._solid.sample(count, rng)
-        return (points - self.center) / self.size, normals
-
-    def _on_solid(
-        self, places: Floats, directions: Floats, parts: NDArray[np.int64]
-    ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """From places (N, 3) near the surfaces of parts (N,) go along the rays to these surfaces.
-
-        Returns:
-            The way (N,) to go, the unit normals (N, 3) of the surfaces there, and whether they are the solid's surface.
-        """
-        way, normals = np.zeros(len(places)), np.zeros((len(places), 3))
-        exposed = np.zeros(len(places), dtype=bool)
-        for number in np.unique(parts):
-            own = np.flatnonzero(parts == number)
-            for _ in range(3):  # Newton's method along the ray, held back where the surface is seen at a grazing angle
-                value, gradient = self._implicit(number, places[own] + way[own, None] * directions[own])
-                rise = (gradient * directions[own]).sum(1)
-                least = 0.1 * np.linalg.norm(gradient, axis=1)
-                way[own] -= value / np.where(rise < 0, np.minimum(rise, -least), np.maximum(rise, least))
-            points = places[own] + way[own, None] * directions[own]
-            _, gradient = self._implicit(number, points)
-            normals[own] = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
-            behind, ahead = self._solid.sides(self.center + self.size * points, number)
-            exposed[own] = behind != ahead
-        return way, normals, exposed
+    def _on_part(self, part: int, origins: Floats, directions: Floats, near: Floats) -> tuple[Floats, Floats]:
+        """The distance (N,) of the exact surface of a part from near distances (N,), and its unit normals (N, 3)."""
+        distance = near
+        for _ in range(3):  # Newton's method along the ray, held back where the surface is seen at a grazing angle
+            value, gradient = self._implicit(part, origins + distance[:, None] * directions)
+            rise = (gradient * directions).sum(1)
+            least = 0.1 * np.linalg.norm(gradient, axis=1)
+            distance = distance - value / np.where(rise < 0, np.minimum(rise, -least), np.maximum(rise, least))
+        _, gradient = self._implicit(part, origins + distance[:, None] * directions)
+        return distance, gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
 
     def _implicit(self, part: int, points: Floats) -> tuple[Floats, Floats]:
         """Value (N,) and gradient (N, 3) of the implicit function of a part, in the frame of the target."""
