@@ -98,8 +98,12 @@ def read(path: Path) -> Cloud:
         with library_errors(path, "laspy"):
             records, late = _read_records(stream, path)
             stream.seek(0)
-            with laspy.open(stream, closefd=False, read_evlrs=False) as reader:
+            # The parallel decompressor trusts all sizes in a file, and ends the process where memory lacks for them.
+            backend = laspy.LazBackend.Lazrs
+            with laspy.open(stream, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
                 _check_size(reader.header, path)
+                if reader.header.are_points_compressed:
+                    _check_chunks(stream, reader.header.offset_to_point_data, path)
                 columns = _read_points(reader, path)
                 header = deepcopy(reader.header)
     notes: tuple[str, ...] = ()
@@ -155,6 +159,23 @@ def _check_size(header: Any, path: Path) -> None:
     size = path.stat().st_size - header.offset_to_point_data
     if not header.are_points_compressed and header.point_count * header.point_format.size > size:
         raise InputError(f"{path}: declares {header.point_count} points, more than its size allows; it is truncated")
+
+
+def _check_chunks(stream: BinaryIO, start: int, path: Path) -> None:
+    """Refuse a number of compressed chunks that the file cannot hold: the decompressor would allocate it."""
+    position, size = stream.tell(), path.stat().st_size
+    stream.seek(start)
+    (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
+    if table == -1:  # written by what could not go back: the place stands at the end
+        stream.seek(size - 8)
+        (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
+    if not start < table <= size - 8:
+        raise InputError(f"{path}: its table of compressed chunks is not there; the file is truncated")
+    stream.seek(table)
+    _, chunks = struct.unpack("<II", stream.read(8))
+    if chunks > size:
+        raise InputError(f"{path}: declares {chunks} compressed chunks, more than its size allows; it is damaged")
+    stream.seek(position)
 
 
 def _read_points(reader: Any, path: Path) -> Columns:

@@ -189,7 +189,7 @@ CLOUDS = {suffix[1:]: Reader(suffix, cloud_seeds(suffix), read_and_write) for su
 )}  # fmt: skip
 LIBRARIES = {
     "las": Reader(".las", cloud_seeds(".las"), read_and_write, "laspy"),
-    "laz": Reader(".laz", cloud_seeds(".laz"), read_and_write, "lazrs"),
+    "laz": Reader(".laz", cloud_seeds(".laz"), read_and_write, "lazrs", bound=40_000),  # it believes sizes of layers
     "e57": Reader(".e57", cloud_seeds(".e57"), read_and_write, "pye57"),
 }
 MESHES = {f"mesh {suffix[1:]}": Reader(suffix, mesh_seeds(suffix), read_mesh) for suffix in (

@@ -32,6 +32,8 @@ from jetnormal.cli.app import main as jetnormal_main
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 NOBODY = 65534
+TINY = ("width=0.125", "transform_width=0.125", "neighbors=16", "batch_size=16", "patches_per_cloud=32",
+        "clouds_per_epoch=1", "points_per_cloud=300", "validation_patches=20", "bfloat16=false")  # fmt: skip
 LONGEST = 600.0  # seconds of a run that nobody disturbs
 
 
@@ -206,15 +208,13 @@ def main() -> None:
     options = parser.parse_args()
     chosen = options.command or ["estimate", "train", "evaluate", "disk"]
     rng = random.Random(options.seed)
-    import jetnormal.training.cloudloop
     import torch  # noqa: F401 - before the forks
 
-    import jetnormal.estimators.factory
-    import jetnormal.training.run
+    import jetnormal.estimators.patchwise
+    import jetnormal.training.train  # noqa: F401
 
-    jetnormal.training.run.SAVE_INTERVAL = 0.0  # after each step
-    train = ["train", "--model", "cloudfit", "--data", "data", "-o", "run", "--epochs", "2", "--crop-points", "256",
-             "--crops-per-cloud", "4", "--batch-size", "2"]  # fmt: skip
+    train = ["train", "--recipe", "deepfit-small", "--data", "data", "-o", "run", "--epochs", "6", "--threads", "1"]
+    train += [part for setting in TINY for part in ("--set", setting)]
     evaluate = ["evaluate", "--data", "data", "--model", "pca", "--model", "jet", "--results", "kept", "--json"]
     outcomes = []
     with tempfile.TemporaryDirectory(prefix="torture-") as text:
@@ -226,7 +226,9 @@ def main() -> None:
             outcomes.append(torture("estimate", inputs, command, [], "out.ply", options.kills, rng))
         if "train" in chosen:
             result = "run/model.safetensors"
-            outcomes.append(torture("train", inputs, train, [*train, "--resume"], result, options.kills, rng))
+            outcomes.append(
+                torture("train", inputs, train, ["train", "--resume", "-o", "run"], result, options.kills, rng)
+            )
         if "evaluate" in chosen:
             outcomes.append(torture_evaluate(inputs, evaluate, options.kills, rng))
         if "disk" in chosen:
