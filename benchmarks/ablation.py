@@ -19,8 +19,8 @@ The folder gets NETWORK/ with the run of each network, and PLAN.md with the tabl
     order = [1, 2, 3]        # any setting of the recipe
 
 `additions` are the paper's: "none", "z" (z-direction transform), "correction" (normal error estimation), "both".
-`iterations` are those of the evaluation. `measure` is "rmse", or a list with "pgp5" and "pgp10". Over a list of `seeds`
-a row tells the mean and the standard deviation.
+`iterations` are those of the evaluation, else the network's own. `measure` is "rmse", or a list with "pgp5" and
+"pgp10". Over a list of `seeds` a row tells the mean and the standard deviation.
 """
 
 from __future__ import annotations
@@ -62,11 +62,11 @@ SCALES = {"rmse": 1.0, "pgp5": 100.0, "pgp10": 100.0}
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table: what its cells name, its recipe, and how often the network iterates when it is evaluated."""
+    """A row of a table: what its cells name, its recipe, and iterations of the evaluation (None: the network's own)."""
 
     settings: dict[str, Any]
     recipe: Recipe
-    iterations: int
+    iterations: int | None
 
 
 def rows(table: dict[str, Any], plan: dict[str, Any]) -> Iterator[Row]:
@@ -75,7 +75,7 @@ def rows(table: dict[str, Any], plan: dict[str, Any]) -> Iterator[Row]:
     for values in itertools.product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))
         rest = dict(settings)
-        iterations = rest.pop("iterations", 1)
+        iterations = rest.pop("iterations", None)
         tables = merged(read_tables(rest.pop("recipe", "deepfit-small")), plan.get("changes", {}))
         chosen = ADDITIONS.get(rest.pop("additions", ""), {}) | rest
         changes = placed(chosen, make_recipe(tables).tables())
@@ -96,7 +96,7 @@ def result(row: Row, recipe: Recipe, plan: dict[str, Any], folder: Path) -> Mode
     device = plan.get("device", "auto")
     summary = train(recipe, run, resume=resume, device=device)
     test = plan["test"]
-    model = f"{summary['model']}:iterations={row.iterations}"
+    model = summary["model"] if row.iterations is None else f"{summary['model']}:iterations={row.iterations}"
     models = evaluate(test["data"], [model], list_file=test.get("list"), results=run / "results", device=device).models
     return models[0]
 

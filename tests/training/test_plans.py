@@ -29,8 +29,9 @@ def ablation():
     ("name", "rows", "networks"),
     [
         ("ablation", 46, 32),
-        ("paper/main", 6, 6),
-        ("paper/scenes", 6, 6),
+        ("ablation_full", 4, 4),
+        ("paper/main", 9, 9),
+        ("paper/scenes", 9, 9),
         ("paper/additions", 12, 12),
         ("paper/order", 18, 18),
         ("paper/neighborhood", 18, 18),
