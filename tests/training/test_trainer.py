@@ -347,7 +347,7 @@ def test_clouds_must_fill_a_patch(tmp_path):
 
 
 def test_a_loss_that_is_no_number_ends_the_run(tmp_path, monkeypatch):
-    def spoiled(self, *args, original=PatchSampler._batch):
+    def spoiled(self, *args, original=PatchSampler.join):
         batch = original(self, *args)
         if self.spoil:
             batch.points[0, 3] = torch.nan
@@ -355,7 +355,7 @@ def test_a_loss_that_is_no_number_ends_the_run(tmp_path, monkeypatch):
         return batch
 
     monkeypatch.setattr(PatchSampler, "spoil", False, raising=False)
-    monkeypatch.setattr(PatchSampler, "_batch", spoiled)
+    monkeypatch.setattr(PatchSampler, "join", spoiled)
     with pytest.raises(ModelError, match=r"the loss is nan .* after 8 samples; lower the learning rate"):
         train(RECIPE, Spheres(), tmp_path / "run", save_interval=0)
     for tensor in load_tensors(tmp_path / "run" / "state.safetensors")[0].values():
