@@ -133,7 +133,7 @@ def main() -> None:
         print(json.dumps(measure(arguments.one, arguments.folder)))
         return
     from jetnormal.estimators.factory import make_estimator
-    from jetnormal.jobs.estimate import DEFAULT_MODEL
+    from jetnormal.jobs.options import DEFAULT_MODEL
 
     clouds = categorize(arguments.folder, cloud_names(arguments.folder, arguments.list))
     methods = arguments.method or METHODS

@@ -143,6 +143,11 @@ class Estimator(NormalOptions):
         _warn([*cloud.source.notes, *found.warnings])
         return found.shaped(_rows_of(points, cloud))
 
+    def __reduce__(self) -> Any:
+        """Send the options to another process, which loads the model anew."""
+        options = {field.name: getattr(self, field.name) for field in fields(type(self))}
+        return functools.partial(type(self), **options), ()
+
     def __repr__(self) -> str:
         chosen = (f"{field.name}={value!r}" for field in fields(type(self))
                   if (value := getattr(self, field.name)) != field.default)  # fmt: skip
@@ -285,9 +290,8 @@ def _plain(options: NormalOptions, kind: type[NormalOptions]) -> NormalOptions:
 def _loaded(options: EstimateOptions) -> Any:
     """The estimator for some options, the one of an earlier call where its model file has not changed since."""
     from jetnormal.estimators.factory import model_file
-    from jetnormal.jobs.options import DEFAULT_MODEL
 
-    file = model_file(DEFAULT_MODEL if options.model == "auto" else options.model)
+    file = model_file(options.model_name)
     stamp = None if file is None else (str(file), file.stat().st_mtime_ns, file.stat().st_size)
     signs = {"orient": "auto", "viewpoint": None, "viewpoint_attribute": None}
     return _kept(replace(options, confidence=False, sign_confidence=False, **signs), stamp)  # type: ignore[arg-type]

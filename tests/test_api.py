@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import pickle
 import subprocess
 import sys
 import warnings
@@ -51,6 +52,20 @@ def test_an_estimator_loads_its_model_once(monkeypatch):
     est = Estimator("cloudfit", threads=1)
     first, second = est(sphere()), est(sphere())
     assert len(loads) == 1 and np.array_equal(first.normals, second.normals)
+
+
+def test_an_estimator_can_be_sent_to_another_process():
+    est = Estimator("jet", k=20, viewpoint=(0, 0, 9.0))
+    again = pickle.loads(pickle.dumps(est))
+    assert again == est and np.array_equal(again(sphere()).normals, est(sphere()).normals)
+
+
+def test_a_model_is_a_name_or_a_path_and_no_network(tmp_path):
+    path = tmp_path / "own.safetensors"
+    path.write_bytes(factory.model_file("deepfit-small").read_bytes())
+    assert Estimator(path).model == str(path)
+    with pytest.raises(UsageError, match=r"`model` is a name or the path of a model file, not a PatchFit"):
+        jetnormal.estimate(sphere(), model=jetnormal.load_model("deepfit-small"))
 
 
 def test_estimate_keeps_its_model_until_the_file_changes(monkeypatch, tmp_path):

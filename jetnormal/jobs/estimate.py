@@ -17,7 +17,7 @@ from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
 from jetnormal.estimators.base import Estimator, Prediction, joined
 from jetnormal.jobs.files import check_file, check_format, read_file, write_file
-from jetnormal.jobs.options import DEFAULT_MODEL, EstimateOptions, FileOptions, NormalOptions
+from jetnormal.jobs.options import EstimateOptions, FileOptions, NormalOptions
 from jetnormal.support.report import Advance, StageTimer, peak_memory_mb, progress
 
 if TYPE_CHECKING:
@@ -246,9 +246,9 @@ def prepare_estimator(options: NormalOptions) -> Estimator:
     """
     from jetnormal.estimators.factory import make_estimator
 
-    model = DEFAULT_MODEL if options.model == "auto" else options.model
     iterations = options.iterations if options.iterations != 1 else None
-    estimator = make_estimator(model, k=options.k, order=options.order, iterations=iterations, **_resources(options))
+    settings: dict[str, Any] = {"k": options.k, "order": options.order, "iterations": iterations}
+    estimator = make_estimator(options.model_name, **settings, **_resources(options))
     if isinstance(options, EstimateOptions) and options.curvature and not estimator.has_curvature:
         raise UsageError(f"{estimator.name} has no curvature: leave out `curvature`, or choose a network or jet")
     return estimator

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
+from os import PathLike
 from typing import Annotated, Any, Literal
 
 from jetnormal.errors import UsageError
@@ -71,12 +72,13 @@ class NormalOptions(OptionSet):
     """
 
     model: Annotated[
-        str,
+        str | PathLike[str],
         Option(
             "auto (cloudfit), another packaged network (jetnormal models), pca, jet, or a model file; settings may "
             "follow a colon, as in jet:k=32,order=2.",
             metavar="NAME|FILE",
             group="Model",
+            parse=str,
             complete=complete_model,
         ),
     ] = "auto"
@@ -123,10 +125,19 @@ class NormalOptions(OptionSet):
         int | None, Option("Patches at a time.", low=1, metavar="B", default="fits memory", group="Resources")
     ] = None
 
+    @property
+    def model_name(self) -> str:
+        """What `estimators.factory.make_estimator` takes: the default model for "auto"."""
+        return DEFAULT_MODEL if self.model == "auto" else str(self.model)
+
     def __post_init__(self) -> None:
         given: Any = self.viewpoint
         if hasattr(given, "__len__") and not isinstance(given, str):  # a list or an array is as good as a tuple
             object.__setattr__(self, "viewpoint", tuple(float(value) for value in given))
+        if isinstance(self.model, PathLike):
+            object.__setattr__(self, "model", str(self.model))
+        if not isinstance(self.model, str):
+            raise UsageError(f"`model` is a name or the path of a model file, not a {type(self.model).__name__}")
         super().__post_init__()
         viewpoint, names = self.viewpoint, self.viewpoint_attribute
         if viewpoint is not None and not all(map(math.isfinite, viewpoint)):

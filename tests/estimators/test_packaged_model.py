@@ -15,7 +15,7 @@ from jetnormal.data.solids.recipes import random_solid
 from jetnormal.estimators import patchwise as estimators
 from jetnormal.estimators.factory import make_estimator
 from jetnormal.geometry.metrics import angles, rmse
-from jetnormal.jobs.estimate import DEFAULT_MODEL
+from jetnormal.jobs.options import DEFAULT_MODEL
 from jetnormal.networks.packaged import packaged_names
 
 PATCH_NETWORKS = ("deepfit-small", "adafit-small", "graphfit-small")
