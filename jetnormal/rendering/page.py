@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from jetnormal.errors import ResourceError
 from jetnormal.geometry.vectors import unit
 from jetnormal.rendering.camera import camera_axes, view_direction
-from jetnormal.rendering.light import BACKGROUNDS
+from jetnormal.rendering.light import BACK_TINT, BACKGROUNDS, FILL, KEY
 from jetnormal.rendering.scene import CLAY, SURE, UNSURE, Scene
 from jetnormal.rendering.surfels import DISK_RADIUS, spacing
 from jetnormal.support.open3d_loader import import_open3d
@@ -78,6 +78,9 @@ def encode_page(
         "title": html.escape(title.encode("utf-8", "replace").decode()),  # names of files may be no text
         "background": f"rgb({red}, {green}, {blue})",
         "meta": json.dumps(meta).replace("</", "<\\/"),
+        "lamp": _vec3(KEY),
+        "fill": _vec3(FILL),
+        "tint": _vec3(BACK_TINT**2.2),  # in amounts of light
         "data": base64.b64encode(b"".join(part.tobytes() for part in parts)).decode(),
     }
     page = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
@@ -90,6 +93,11 @@ def encode_octahedral(normals: NDArray[np.float64]) -> NDArray[np.int8]:
     signs = np.where(flat[:, :2] < 0, -1, 1)
     folded = np.where(flat[:, 2:] < 0, (1 - np.abs(flat[:, 1::-1])) * signs, flat[:, :2])
     return np.round(folded * 127).astype(np.int8)
+
+
+def _vec3(values: NDArray[np.float64]) -> str:
+    """A constant of the shaders."""
+    return f"vec3({', '.join(f'{value:.3f}' for value in values)})"
 
 
 def _colorings(scene: Scene) -> list[str]:

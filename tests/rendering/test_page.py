@@ -59,6 +59,11 @@ def test_the_page_holds_the_file_s_colors_and_its_confidence_whatever_is_shown_f
     assert np.array_equal(np.frombuffer(data, "u1", 50, 11 * 50), np.round(confidence * 255))
 
 
+def test_the_page_has_the_lamps_of_the_pictures():
+    page = encode_page(cloud_scene(Cloud(sphere(10))), "cloud", "iso", "white").decode()
+    assert "lamp = normalize(vec3(-0.450, 0.600, 0.660))" in page and "{{" not in page
+
+
 def test_names_cannot_break_the_page():
     page = encode_page(cloud_scene(ball(10)), "</script><script>alert(1)</script>", "iso", "dark").decode()
     assert "alert(1)</script>" not in page and "&lt;/script&gt;" in page
