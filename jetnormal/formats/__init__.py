@@ -115,8 +115,11 @@ def write(
             shutil.copyfileobj(stream, sys.stdout.buffer)
             sys.stdout.buffer.flush()
     else:
-        with atomic.atomic_write(path, overwrite=overwrite) as stream:
-            warnings = write_cloud(cloud, stream, chosen)
+        try:
+            with atomic.atomic_write(path, overwrite=overwrite) as stream:
+                warnings = write_cloud(cloud, stream, chosen)
+        except InputError as error:  # a format does not know the name of its stream
+            raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
     return [f"{path}: {warning}" for warning in _losses(cloud, known) + warnings]
 
 

@@ -231,7 +231,8 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, compress: bool) -> l
         standard |= dict.fromkeys(("return_number", "number_of_returns"), np.ones(len(points), np.uint8))
     for name, values in [*standard.items(), *zip(added, others.values(), strict=True)]:
         table[name] = values
-    warnings += _write_file(laspy, header, table, extra, stream, compress)
+    with library_errors("LAS output", "laspy"):
+        warnings += _write_file(laspy, header, table, extra, stream, compress)
     return warnings + renamed + changed + converted
 
 
@@ -365,7 +366,7 @@ def _write_file(
         header.start_of_waveform_data_packet_record = 0
         warnings.append("the waveforms are not kept")
     header.vlrs.extend(_as_vlr(laspy, record) for record in records)
-    writer = laspy.LasWriter(stream, header, do_compress=compress, closefd=False)
+    writer = laspy.LasWriter(stream, header, do_compress=compress, closefd=False, encoding_errors="ignore")
     writer.write_points(table)
     if late:
         writer.write_evlrs(laspy.vlrs.vlrlist.VLRList([_as_vlr(laspy, record) for record in late]))

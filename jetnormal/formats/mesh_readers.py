@@ -60,8 +60,10 @@ def read_off(path: Path) -> Mesh:
         polygons = [_off_face(next(lines)) for _ in range(faces)]
     except StopIteration:
         raise InputError(f"{path}: ends before its last face; the file is truncated") from None
-    except ValueError as error:
+    except (ValueError, IndexError) as error:
         raise InputError(f"{path}: damaged OFF file ({error}); export it again") from None
+    if max((max(polygon, default=0) for polygon in polygons), default=0) >= vertices:
+        raise InputError(f"{path}: a face names a vertex that does not exist (there are {vertices})")
     columns = {len(row) for row in rows}
     if len(columns) != 1 or min(columns) < 3:
         raise InputError(f"{path}: its vertices do not have the same number of values, three or more")
@@ -124,6 +126,8 @@ def _fan(corners: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _off_face(words: list[bytes]) -> list[int]:
     corners = [int(word) for word in words[1 : int(words[0]) + 1]]
+    if min(corners, default=0) < 0:
+        raise ValueError("a face names a negative vertex")
     if len(corners) != int(words[0]):
         raise ValueError(f"a face of {int(words[0])} corners names {len(corners)}")
     return corners

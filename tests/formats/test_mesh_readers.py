@@ -133,6 +133,8 @@ def test_a_mirrored_node_keeps_the_outside_outside(tmp_path):
         ("counts.off", "OFF\n2147483648 1 0\n0 0 0\n"),
         ("corners.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n5 0 1 2\n"),
         ("colors.off", "COFF\n3 1 0\n0 0 0 1 2 3 255\n1 0 0 1 2 3 255\n0 1 0\n3 0 1 2\n"),
+        ("large.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 99999999999999999999\n"),
+        ("negative.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n"),
         ("beyond.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n"),
         ("index.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999999999\n"),
         ("words.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 x\n"),
