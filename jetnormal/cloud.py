@@ -21,8 +21,8 @@ class Source:
             ``"binary_compressed"``.
         comments: the comment lines, without their markers.
         viewpoint: the sensor pose of a PCD file: x y z and the quaternion w x y z.
-        width: columns of an organised cloud, else the number of points or None.
-        height: rows of an organised cloud, else 1 or None.
+        width: columns of an organized cloud, else the number of points or None.
+        height: rows of an organized cloud, else 1 or None.
         columns: names of the per-point columns in file order. Coordinates are called ``x y z`` and normals
             ``nx ny nz`` whatever the file calls them; every other name is a key of ``Cloud.attributes``.
         point_dtype: type of the coordinates in the file. Writing converts ``Cloud.points`` back to it.

@@ -21,7 +21,7 @@ def to_cloud(points: Any) -> Cloud:
     """Make a cloud of points, with their normals and colors where the library holds some; a cloud stays itself.
 
     Args:
-        points: (N, 3) or organised (H, W, 3) coordinates, whose rows come one after the other, or an object of
+        points: (N, 3) or organized (H, W, 3) coordinates, whose rows come one after the other, or an object of
             PyTorch, Open3D, trimesh or PyVista.
 
     Raises:

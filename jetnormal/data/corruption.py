@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 NOISE_LEVELS = {"low": 1.25e-3, "medium": 6.0e-3, "high": 1.2e-2}
 
 STRIPES = 10  # along the axis of the bounding box, every other one thinned
-STRIPE_DENSITY = 0.05  # of a thinned stripe, relative to its neighbours
+STRIPE_DENSITY = 0.05  # of a thinned stripe, relative to its neighbors
 GRADIENT_DENSITY = 0.01  # at the sparse end, relative to the dense end
 
 # How often a generated cloud is corrupted in which way.
@@ -130,9 +130,9 @@ def punch_holes(points: NDArray[np.float64], rng: np.random.Generator) -> NDArra
     """
     diagonal = np.linalg.norm(np.ptp(points, axis=0))
     missing = np.zeros(len(points), dtype=bool)
-    for centre in points[rng.integers(len(points), size=rng.integers(1, 6))]:
+    for center in points[rng.integers(len(points), size=rng.integers(1, 6))]:
         radius = rng.uniform(0.03, 0.10) * diagonal
-        grown = missing | (((points - centre) ** 2).sum(1) < radius**2)
+        grown = missing | (((points - center) ** 2).sum(1) < radius**2)
         if 2 * grown.sum() <= len(points):
             missing = grown
     return np.flatnonzero(~missing)

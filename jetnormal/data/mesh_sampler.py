@@ -13,13 +13,13 @@ from jetnormal.formats.meshes import read_mesh
 from jetnormal.geometry.vectors import unit
 from jetnormal.mesh import Mesh
 
-CREASE_DEGREES = 35.0  # neighbouring faces that turn by more meet in a sharp edge
+CREASE_DEGREES = 35.0  # neighboring faces that turn by more meet in a sharp edge
 
 
 def load_mesh(path: Path | str) -> Mesh:
     """Read a triangle mesh.
 
-    Vertices at exactly the same place become one, so that STL triangles know their neighbours.
+    Vertices at exactly the same place become one, so that STL triangles know their neighbors.
 
     Raises:
         InputError: as `formats.meshes.read_mesh`, and if all faces are degenerate.
@@ -113,5 +113,5 @@ def _encloses_negative_volume(corners: NDArray[np.float64], doubled: NDArray[np.
     the origin.
     """
     closed = np.linalg.norm(doubled.sum(0)) <= 1e-6 * np.linalg.norm(doubled, axis=1).sum()
-    centred = corners[:, 0] - corners[:, 0].mean(0)
-    return bool(closed and (centred * doubled).sum() < 0)
+    centered = corners[:, 0] - corners[:, 0].mean(0)
+    return bool(closed and (centered * doubled).sum() < 0)

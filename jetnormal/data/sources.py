@@ -79,7 +79,7 @@ class PcpnetFolder:
     """
 
     def __init__(self, directory: Path | str, list_file: str | None = TRAINING_LIST) -> None:
-        """Finds the clouds; each is read when it is first asked for and kept.
+        """Find the clouds; each is read when it is first asked for and kept.
 
         Args:
             directory: The folder. It is only read.
@@ -119,7 +119,7 @@ class MeshFolder:
     def __init__(
         self, directory: Path | str, clouds_per_epoch: int = CLOUDS_PER_EPOCH, points: int = POINTS_PER_CLOUD
     ) -> None:
-        """Finds the meshes; the 64 used last are kept in memory.
+        """Find the meshes; the 64 used last are kept in memory.
 
         Raises:
             InputError: There is no mesh in the folder.
@@ -242,7 +242,7 @@ class Mixture:
     """
 
     def __init__(self, sources: Sequence[DataSource], weights: Sequence[float] | None = None) -> None:
-        """Plans the turns of an epoch.
+        """Plan the turns of an epoch.
 
         Args:
             sources: At least one.
@@ -289,7 +289,7 @@ def open_dataset(
     points: int = POINTS_PER_CLOUD,
     relief: float = 0.0,
 ) -> DataSource:
-    """Opens folders of training data, each by what lies in it, as one source.
+    """Open folders of training data, each by what lies in it, as one source.
 
     A folder with .normals files is a PCPNet folder: its clouds are those of `list_file`, else of
     `default_list` where there is one, else all with normals, corrupted anew in each epoch.

@@ -53,7 +53,7 @@ def in_blocks(
 
 
 def _blocks(points: NDArray[np.float64], rows: NDArray[np.int64], largest: int) -> Iterator[NDArray[np.int64]]:
-    """Halves the (n,) rows of a cloud across the longest side of their box until none has more than `largest`."""
+    """Halve the (n,) rows of a cloud across the longest side of their box until none has more than `largest`."""
     if len(rows) <= largest:
         yield rows
         return

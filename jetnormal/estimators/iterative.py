@@ -146,8 +146,8 @@ def _prediction(graph: Graph, queries: Tensor, normals: Tensor, rough: Tensor) -
 
 def _spans_plane(offsets: Tensor) -> Tensor:
     """(n,) bool: whether the neighbors at (n, k, 3) are neither collinear nor coincident."""
-    centred = (offsets - offsets.mean(1, keepdim=True)).double()
-    covariance = centred.transpose(1, 2) @ centred
+    centered = (offsets - offsets.mean(1, keepdim=True)).double()
+    covariance = centered.transpose(1, 2) @ centered
     trace = covariance.diagonal(dim1=1, dim2=2).sum(1)
     minors = (trace.square() - covariance.square().sum((1, 2))) / 2  # about the product of the two largest eigenvalues
     return minors > COLLINEAR * trace.square()

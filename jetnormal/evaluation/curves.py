@@ -107,11 +107,11 @@ def _draw_errors(panel: Any, angles: NDArray[np.float32], errors: NDArray[np.flo
     """Draw mean and quartiles of the error in each bin of the angle that holds enough points."""
     bins = (angles // Z_BIN).astype(int)
     used = [bin for bin in range(int(Z_LIMIT // Z_BIN)) if (bins == bin).sum() >= Z_LEAST]
-    centres = Z_BIN * (np.array(used) + 0.5)
+    centers = Z_BIN * (np.array(used) + 0.5)
     inside = [errors[bins == bin] for bin in used]
     quartiles = np.array([np.percentile(one, [25, 75]) for one in inside]).reshape(-1, 2)
-    panel.fill_between(centres, *quartiles.T, color=color, alpha=0.15, linewidth=0)
-    panel.plot(centres, [one.mean() for one in inside], color=color, marker="o", markersize=4, label=label)
+    panel.fill_between(centers, *quartiles.T, color=color, alpha=0.15, linewidth=0)
+    panel.plot(centers, [one.mean() for one in inside], color=color, marker="o", markersize=4, label=label)
 
 
 def _draw_density(panel: Any, angles: NDArray[np.float32], label: str, color: str, style: str) -> None:

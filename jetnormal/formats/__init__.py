@@ -167,7 +167,7 @@ def _losses(cloud: Cloud, target: Format) -> list[str]:
         return []
     losses = list(source.extra.losses()) if hasattr(source.extra, "losses") else []
     if source.height is not None and source.height > 1:
-        losses.append(f"the organisation in {source.height} rows of {source.width} points is not kept")
+        losses.append(f"the organization in {source.height} rows of {source.width} points is not kept")
     if source.viewpoint not in (None, _IDENTITY) and not target.keeps_viewpoint:
         losses.append("the viewpoint is not kept")
     return losses

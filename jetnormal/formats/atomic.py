@@ -16,7 +16,7 @@ from jetnormal.errors import InputError
 
 
 def check_target(path: Path, overwrite: bool) -> None:
-    """Finds out, before any long computation, whether a file can be written.
+    """Find out, before any long computation, whether a file can be written.
 
     Raises:
         InputError: if the file exists and may not be overwritten, if it is not a regular file, or if its
@@ -49,7 +49,7 @@ def _find_problem(path: Path, folder: Path, overwrite: bool) -> str | None:
 
 @contextmanager
 def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
-    """Opens a temporary file beside `path` that takes its name when the block ends without an exception.
+    """Open a temporary file beside `path` that takes its name when the block ends without an exception.
 
     On any exception, Ctrl-C included, the temporary file is removed and `path` stays as it was. A symbolic
     link is followed, and the permissions of an overwritten file are kept.
@@ -93,7 +93,7 @@ def _writing_failed(path: Path, error: OSError) -> InputError:
 
 @contextmanager
 def atomic_folder(path: Path, replaceable: Collection[str] = ()) -> Iterator[Path]:
-    """Makes a temporary folder beside `path` that takes its name when the block ends without an exception.
+    """Make a temporary folder beside `path` that takes its name when the block ends without an exception.
 
     On any exception, Ctrl-C included, the temporary folder is removed and `path` stays as it was.
 

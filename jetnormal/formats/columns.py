@@ -66,7 +66,7 @@ def canonical_names(names: Collection[str], path: Path) -> dict[str, str]:
 
 
 def cloud_from_columns(columns: Mapping[str, NDArray[Any]], source: Source, path: Path) -> Cloud:
-    """Builds a cloud from the per-point columns of a file, and completes `source` with their order and types.
+    """Build a cloud from the per-point columns of a file, and complete `source` with their order and types.
 
     Raises:
         InputError: if a coordinate is missing or is not one number per point.
@@ -104,7 +104,7 @@ def _join(columns: list[NDArray[Any]]) -> tuple[NDArray[np.float64], np.dtype[An
 def columns_from_cloud(
     cloud: Cloud, normal_names: tuple[str, ...], new_normal_dtype: np.dtype[Any]
 ) -> tuple[Columns, list[str]]:
-    """Lays out the per-point columns of a cloud for writing, in file order.
+    """Lay out the per-point columns of a cloud for writing, in file order.
 
     Normals take the place they had in the file. New ones follow the coordinates: readers that go by position
     (MeshLab's and Open3D's XYZ, our own) expect ``x y z nx ny nz`` first, and MeshLab, CloudCompare and

@@ -19,7 +19,7 @@ _LONGEST_LITERAL = 32
 
 
 def decompress(packed: bytes, size: int) -> bytes:
-    """Unpacks a stream that must give exactly `size` bytes.
+    """Unpack a stream that must give exactly `size` bytes.
 
     Raises:
         ValueError: if the stream is damaged.
@@ -56,7 +56,7 @@ def decompress(packed: bytes, size: int) -> bytes:
 
 
 def compress(data: bytes) -> bytes:
-    """Packs bytes greedily: the most recent match of three or more bytes is taken.
+    """Pack bytes greedily: the most recent match of three or more bytes is taken.
 
     The longer nothing has matched, the longer are the steps, as in LZ4: noise is not worth the time.
     """

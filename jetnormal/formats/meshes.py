@@ -54,7 +54,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
 
 
 def write_mesh(mesh: Mesh, path: str | PathLike[str], *, overwrite: bool = False) -> list[str]:
-    """Writes a mesh; the file appears complete or not at all.
+    """Write a mesh; the file appears complete or not at all.
 
     PLY, OBJ and OFF keep float64 coordinates. GLB keeps differences in float32 and their origin in full; of a mesh far
     from the origin, an offset is taken off that stands in the file's extras; z becomes y, which is up in glTF. STL has
@@ -79,7 +79,7 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str], *, overwrite: bool = False
 
 
 def check_mesh_target(path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Finds out before a long computation whether `write_mesh` would refuse this path.
+    """Find out before a long computation whether `write_mesh` would refuse this path.
 
     Raises:
         InputError: the suffix is unknown, the file exists and may not be overwritten, or its folder is missing

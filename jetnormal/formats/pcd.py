@@ -56,7 +56,7 @@ class _Header:
 
 
 def read(path: Path) -> Cloud:
-    """Reads a PCD file. Organised clouds come row after row, NaN points included. Padding is left out.
+    """Read a PCD file. Organized clouds come row after row, NaN points included. Padding is left out.
 
     Raises:
         InputError: if the file is no PCD file, is damaged, or holds no coordinates.
@@ -191,11 +191,11 @@ def _fields(table: NDArray[Any]) -> Columns:
 
 
 def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
-    """Writes a PCD file.
+    """Write a PCD file.
 
     New normals are float32, as in PCL's point types, and come with a ``curvature``: pcl::Normal and
     pcl::PointNormal hold the four together, and PCL's loader complains about a file without it. An unknown
-    curvature is 0, PCL's own default. Colours of other formats are packed into ``rgb``.
+    curvature is 0, PCL's own default. Colors of other formats are packed into ``rgb``.
 
     Returns:
         What could not be kept.
@@ -229,7 +229,7 @@ def _with_curvature(columns: Columns, points: int) -> Columns:
 
 
 def _printable_color(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Opaque colours packed in floats are NaN, whose bits text would lose: as in PCL, integers it is."""
+    """Opaque colors packed in floats are NaN, whose bits text would lose: as in PCL, integers it is."""
     if name in ("rgb", "rgba") and values.dtype == np.float32 and not np.isfinite(values).all():
         return np.ascontiguousarray(values).view(np.uint32)
     return values

@@ -122,7 +122,7 @@ def read_list(path: Path) -> list[str]:
 
 
 def read_cloud(directory: Path, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64] | None]:
-    """Reads the points (N, 3), unit normals (N, 3) and, where there are any, the indices (Q,) to evaluate.
+    """Read the points (N, 3), unit normals (N, 3) and, where there are any, the indices (Q,) to evaluate.
 
     Raises:
         InputError: A file is unreadable or does not match the others.
@@ -147,7 +147,7 @@ def read_cloud(directory: Path, name: str) -> tuple[NDArray[np.float64], NDArray
 def write_cloud(
     directory: Path, name: str, points: NDArray[np.float64], normals: NDArray[np.float64], queries: NDArray[np.int64]
 ) -> None:
-    """Writes the three files of a cloud; numbers keep the nine digits that tell single precision apart."""
+    """Write the three files of a cloud; numbers keep the nine digits that tell single precision apart."""
     np.savetxt(file_of(directory, name, "xyz"), points, fmt="%.9g")
     np.savetxt(file_of(directory, name, "normals"), normals, fmt="%.9g")
     np.savetxt(file_of(directory, name, "pidx"), queries, fmt="%d")
@@ -220,7 +220,7 @@ def file_of(directory: Path, name: str, suffix: str) -> Path:
 
 
 def _read_numbers(path: Path, columns: int, finite: bool = True) -> NDArray[np.float64]:
-    """Reads a text file of numbers, (N, columns), N > 0, all of them finite unless said otherwise."""
+    """Read a text file of numbers, (N, columns), N > 0, all of them finite unless said otherwise."""
     try:
         numbers = np.loadtxt(path, dtype=np.float64, ndmin=2)
     except (OSError, ValueError) as error:

@@ -55,7 +55,7 @@ class PlyExtra:
 
 
 def read(path: Path) -> Cloud:
-    """Reads a PLY file.
+    """Read a PLY file.
 
     Raises:
         InputError: if the file is no PLY file, is damaged, or its vertices have no coordinates.
@@ -146,7 +146,7 @@ def _transcode(extra: PlyExtra, encoding: str) -> bytes:
 
 
 def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
-    """Writes a PLY file. New normals have the type of the coordinates.
+    """Write a PLY file. New normals have the type of the coordinates.
 
     Returns:
         What could not be kept.

@@ -16,7 +16,7 @@ from jetnormal.formats.table import format_rows, read_table
 
 
 def read_element(stream: BinaryIO, element: Element, encoding: str, path: Path, line: int) -> Columns:
-    """Reads the rows of an element from a stream's position.
+    """Read the rows of an element from a stream's position.
 
     Args:
         stream: a binary stream; it is left behind the last row.
@@ -101,7 +101,7 @@ def _column(prop: Property, values: tuple[NDArray[Any], ...]) -> NDArray[Any]:
 
 
 def format_element(columns: Columns, element: Element, encoding: str) -> Iterator[bytes | memoryview]:
-    """Yields the rows of an element in chunks; `columns` are in the order and types of its properties."""
+    """Yield the rows of an element in chunks; `columns` are in the order and types of its properties."""
     if not element.is_scalar:
         row = _format_text_row if encoding == "ascii" else _format_binary_row
         order = BYTE_ORDERS[encoding]

@@ -1,4 +1,4 @@
-"""What a format's columns can hold: number types, several values per point, packed colours."""
+"""What a format's columns can hold: number types, several values per point, packed colors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ COLORS = ("red", "green", "blue")
 
 
 def to_storable(columns: Columns, types: frozenset[str], *, vectors: bool) -> tuple[Columns, list[str]]:
-    """Converts columns to what a format can hold, without loss where possible.
+    """Convert columns to what a format can hold, without loss where possible.
 
     Args:
         columns: arrays of any type with first axis N; an object array holds a list per point.
@@ -76,7 +76,7 @@ def _range_type(values: NDArray[Any]) -> np.dtype[Any]:
 
 
 def unpack_colors(columns: Columns) -> Columns:
-    """Replaces PCL's packed ``rgb`` or ``rgba`` column (0xAARRGGBB) by one column per channel."""
+    """Replace PCL's packed ``rgb`` or ``rgba`` column (0xAARRGGBB) by one column per channel."""
     unpacked: Columns = {}
     unique = UniqueNames(columns)
     for name, values in columns.items():
@@ -91,7 +91,7 @@ def unpack_colors(columns: Columns) -> Columns:
 
 
 def pack_colors(columns: Columns) -> Columns:
-    """Replaces ``red green blue`` of 8 bits (and ``alpha``) by the packed column that PCL's tools understand.
+    """Replace ``red green blue`` of 8 bits (and ``alpha``) by the packed column that PCL's tools understand.
 
     It is ``rgb`` in a float32 column, as in pcl::PointXYZRGB, or ``rgba`` in a uint32 column.
     """

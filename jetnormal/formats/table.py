@@ -28,7 +28,7 @@ def read_table(
     rows: int | None = None,
     delimiter: str | None = None,
 ) -> NDArray[Any]:
-    """Reads rows of numbers from a stream's position; blank lines are skipped.
+    """Read rows of numbers from a stream's position; blank lines are skipped.
 
     Args:
         stream: a binary stream; it is left right behind the last row that was read.
@@ -75,7 +75,7 @@ def _leaf_types(dtype: np.dtype[Any], columns: int) -> list[np.dtype[Any]]:
 
 
 def _find_problem(stream: BinaryIO, types: list[np.dtype[Any]], first_line: int, delimiter: str | None) -> str | None:
-    """Says what is wrong with the first bad row, once the fast parser has given up."""
+    """Say what is wrong with the first bad row, once the fast parser has given up."""
     for number, raw in enumerate(stream, first_line):
         text = raw.decode("latin1").strip()
         if not text:
@@ -101,7 +101,7 @@ def _fits(text: str, dtype: np.dtype[Any]) -> bool:
 
 
 def format_rows(columns: Sequence[NDArray[Any]], delimiter: str) -> Iterator[bytes]:
-    """Yields the text of a table in chunks.
+    """Yield the text of a table in chunks.
 
     Args:
         columns: arrays of shape (rows,), integers or floats.

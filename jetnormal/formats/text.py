@@ -67,7 +67,7 @@ class Style:
 
 
 def read(path: Path, *, suffix: str, columns: str | None = None, decimal: str | None = None) -> Cloud:
-    """Reads rows of numbers; see the module's text for what is understood.
+    """Read rows of numbers; see the module's text for what is understood.
 
     Without names, `text_columns.guess_names` tells the columns.
 
@@ -208,7 +208,7 @@ def _as_integers(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list[str]:
-    """Writes rows of numbers, each in the shortest text that reads back to the same value.
+    """Write rows of numbers, each in the shortest text that reads back to the same value.
 
     A file read from the same suffix keeps its delimiter, names, count line and comments. New normals have the
     precision of float32. CSV files always have a line of names; other new files but PTS have one, as a comment,

@@ -50,7 +50,7 @@ class Preamble:
 
 
 def read_preamble(stream: BinaryIO, path: Path, decimal: str | None = None) -> Preamble:
-    """Reads up to the first row of numbers.
+    """Read up to the first row of numbers.
 
     Args:
         stream: at the beginning of the text.
@@ -101,7 +101,7 @@ def _interpret(text: str, found: Preamble, path: Path, decimal: str | None) -> N
 
 
 def _names_from_comment(found: Preamble) -> None:
-    """Takes the last comment that reads like column names, such as CloudCompare's ``//X Y Z R G B``."""
+    """Take the last comment that reads like column names, such as CloudCompare's ``//X Y Z R G B``."""
     if found.names:
         return
     for marker, text in reversed(found.comments):

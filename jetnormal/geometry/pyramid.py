@@ -83,7 +83,7 @@ class Pyramid:
 
 
 def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None = None) -> Pyramid:
-    """Thins a cloud to an even finest level, and this level by level to about a quarter.
+    """Thin a cloud to an even finest level, and this level by level to about a quarter.
 
     A level keeps a maximal set of points such that none is among the six nearest of another: it is even where the
     cloud is. Each point that is kept moves to the mean of itself and its eight nearest neighbors, which removes noise.
@@ -148,7 +148,7 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
 def _apart(
     neighbors: NDArray[np.int32], distances: NDArray[np.float64], reach: NDArray[np.float64], order: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Takes all other points, and those of this order each unless a neighbor within its reach was taken before."""
+    """Take all other points, and those of this order each unless a neighbor within its reach was taken before."""
     taken = np.ones(len(neighbors), np.bool_)
     taken[order] = False
     for i in order:
@@ -225,7 +225,7 @@ def _priority(distances: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def _spread_out(neighbors: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Takes the points in this order, each unless one of its neighbors was taken before."""
+    """Take the points in this order, each unless one of its neighbors was taken before."""
     taken = np.zeros(len(order), np.bool_)
     for i in order:
         free = True

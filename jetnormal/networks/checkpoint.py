@@ -44,7 +44,7 @@ LONGEST_LIST = 64  # in a configuration: a network has a module or more for each
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
-    """Writes tensors and a JSON description, atomically; an existing file is replaced.
+    """Write tensors and a JSON description, atomically; an existing file is replaced.
 
     Raises:
         InputError: if the file cannot be written.
@@ -68,7 +68,7 @@ def _canonical(content: bytes) -> bytes:
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Reads what `save_tensors` wrote.
+    """Read what `save_tensors` wrote.
 
     Raises:
         ModelError: if the file is missing, damaged, or of another program.
@@ -87,7 +87,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def save_model(path: Path, network: Network, training: dict[str, Any]) -> None:
-    """Writes a network with its configuration and facts about its training.
+    """Write a network with its configuration and facts about its training.
 
     Raises:
         InputError: if the file cannot be written.

@@ -142,8 +142,8 @@ def plane_normals(offsets: Tensor, weights: Tensor) -> Tensor:
     with full_precision(offsets):
         share = weights / weights.sum(1, keepdim=True)
         mean = (share[:, None] @ offsets)[:, 0]
-        centred = offsets - mean[:, None]
-        normals = smallest_eigenvector(centred.transpose(1, 2) @ (share[..., None] * centred))
+        centered = offsets - mean[:, None]
+        normals = smallest_eigenvector(centered.transpose(1, 2) @ (share[..., None] * centered))
     return torch.where((normals * mean).sum(1, keepdim=True) < 0, -normals, normals)
 
 

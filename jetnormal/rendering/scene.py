@@ -28,7 +28,7 @@ class Scene:
     """Points of a cloud, or vertices of a mesh.
 
     Attributes:
-        points: (N, 3), centred.
+        points: (N, 3), centered.
         normals: (N, 3) unit vectors, zero where unknown.
         colors: (N, 3) from 0 to 1 (sRGB).
         faces: (F, 3) int64, or None for a cloud.

@@ -1,4 +1,4 @@
-"""Reports to the user: log lines and progress on stderr, a JSON summary on stdout, timings."""
+"""Report to the user: log lines and progress on stderr, a JSON summary on stdout, timings."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class BallBatch:
 
 
 class BallSampler(QuerySampler[BallIndex, BallBatch]):
-    """Draws batches of balls; see `QuerySampler`."""
+    """Draw batches of balls; see `QuerySampler`."""
 
     def __init__(self, config: PCPNetConfig | NestiNetConfig, *arguments: Any) -> None:
         super().__init__(*arguments)

@@ -36,7 +36,7 @@ class Batch:
 
 
 class QuerySampler(Generic[_Index, _Made]):
-    """Draws the batches of an epoch: neighborhoods of some queries of each cloud of the source, shuffled together.
+    """Draw the batches of an epoch: neighborhoods of some queries of each cloud of the source, shuffled together.
 
     Any point may be a query, as in the published trainings: the .pidx files of PCPNet are for evaluation. A subclass
     says how neighborhoods are found and put together.
@@ -100,7 +100,7 @@ class QuerySampler(Generic[_Index, _Made]):
 
 
 class PatchSampler(QuerySampler[NeighborIndex, Batch]):
-    """Draws batches of patches; see `QuerySampler`.
+    """Draw batches of patches; see `QuerySampler`.
 
     Args:
         source: of the clouds.
@@ -143,7 +143,7 @@ def labeled_patches(cloud: LabeledCloud, index: NeighborIndex, queries: NDArray[
 
 
 def made_ahead(thread: ThreadPoolExecutor, build: Callable[[int], _Made], numbers: range) -> Iterator[_Made]:
-    """Yields build(n) for all numbers in order, with AHEAD of them under way."""
+    """Yield build(n) for all numbers in order, with AHEAD of them under way."""
     waiting = [thread.submit(build, n) for n in numbers[:AHEAD]]
     try:
         for number in numbers:

@@ -35,7 +35,7 @@ class Crop:
 
 
 class CropSampler:
-    """Draws the batches of an epoch: `crops_per_cloud` crops of each cloud of the source.
+    """Draw the batches of an epoch: `crops_per_cloud` crops of each cloud of the source.
 
     Args:
         source: of the clouds.

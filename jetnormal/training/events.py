@@ -8,7 +8,7 @@ from jetnormal.errors import UsageError
 
 
 class EventLog:
-    """Writes scalars beside the other files of a run; Weights & Biases reads the files, too (`wandb sync RUN`).
+    """Write scalars beside the other files of a run; Weights & Biases reads the files, too (`wandb sync RUN`).
 
     Args:
         folder: of the run; nothing is written to it before the first record.

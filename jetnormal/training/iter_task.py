@@ -43,7 +43,7 @@ class RoundCrop:
 
 
 class CropSampler(QuerySampler[NeighborIndex, list[RoundCrop]]):
-    """Draws batches of crops; see `QuerySampler`."""
+    """Draw batches of crops; see `QuerySampler`."""
 
     def __init__(self, source: DataSource, crop_points: int, crops_per_cloud: int, batch_size: int, seed: int) -> None:
         super().__init__(source, crops_per_cloud, batch_size, seed)

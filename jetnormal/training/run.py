@@ -257,7 +257,7 @@ class Run:
         return {name: int(value) if value.isdigit() else float(value) for name, value in last.items() if value}
 
     def _take_over(self, path: Path) -> None:
-        """Copies the weights of a model file that fit into this network."""
+        """Copy the weights of a model file that fit into this network."""
         own = self.network.state_dict()
         found = load_tensors(path)[0]
         fitting = {name: value for name, value in found.items() if name in own and own[name].shape == value.shape}
@@ -267,7 +267,7 @@ class Run:
         logger.info("starting from %s: %d of %d tensors fit", path, len(fitting), len(own))
 
     def _drop_metrics_after(self, epoch: int) -> None:
-        """Removes the rows of epochs that the resumed run will do again."""
+        """Remove the rows of epochs that the resumed run will do again."""
         if self._metrics_path.exists():
             lines = self._metrics_path.read_text().splitlines(keepends=True)
             with atomic_write(self._metrics_path, overwrite=True) as stream:
@@ -275,7 +275,7 @@ class Run:
 
 
 def _averaged(network: Network, decay: float) -> AveragedModel:
-    """A copy of a network, statistics of its normalisations included, that follows it."""
+    """A copy of a network, statistics of its normalizations included, that follows it."""
     return AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(decay), use_buffers=True)
 
 

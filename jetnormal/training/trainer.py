@@ -35,7 +35,7 @@ _Drawn = TypeVar("_Drawn", covariant=True)
 
 
 class Sampler(Protocol, Generic[_Drawn]):
-    """Draws the batches of an epoch."""
+    """Draw the batches of an epoch."""
 
     @property
     def batches_per_epoch(self) -> int: ...
@@ -85,7 +85,7 @@ class Task(Protocol[_Batch]):
 
 
 class Trainer(Generic[_Batch]):
-    """Trains the network of a task from where its run stands to the end.
+    """Train the network of a task from where its run stands to the end.
 
     Args:
         task: what is learned.

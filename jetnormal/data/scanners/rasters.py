@@ -17,7 +17,7 @@ from jetnormal.geometry.vectors import unit
 
 
 class Raster(Protocol):
-    """Turns columns u and rows v into rays."""
+    """Turn columns u and rows v into rays."""
 
     def rays(self, u: Floats, v: Floats, /) -> tuple[Floats, Floats]:
         """Return origins and unit directions, (N, 3) each, of the rays at u (N,) and v (N,)."""

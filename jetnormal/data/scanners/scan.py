@@ -50,7 +50,7 @@ def merged(views: list[Scan]) -> Scan:
 def registration_errors(
     rng: np.random.Generator, low: float, high: float
 ) -> Callable[[Scan, np.random.Generator], Scan]:
-    """Moves a view by an error of a size that the views of a cloud share; none in a quarter of the clouds."""
+    """Move a view by an error of a size that the views of a cloud share; none in a quarter of the clouds."""
     size = 0.0 if rng.random() < 0.25 else log_uniform(rng, low, high)
     return partial(_misplaced, size=size)
 

@@ -249,7 +249,7 @@ class ConvexPolyhedron:
     def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """See `Primitive.sample`."""
         face = np.repeat(np.arange(len(self._areas)), rng.multinomial(count, self._areas / self.area))
-        weights = rng.exponential(size=(count, 3, 1))  # normalised, they are uniform over the triangle
+        weights = rng.exponential(size=(count, 3, 1))  # normalized, they are uniform over the triangle
         points = (weights * self._corners[face]).sum(axis=1) / weights.sum(axis=1)
         return points, self._planes[face, :3]
 

@@ -59,7 +59,7 @@ def edge_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, out: F32) -> None:
 def edge_messages_backward(
     grad: F32, p: F32, u: F32, nbr: I32, q: F32, w: F32, grad_p: F32, grad_u: F32, grad_w: F32
 ) -> None:
-    """Adds to the gradients of `edge_messages`' p, u and w what grad (N, C) sends back; the messages are recomputed."""
+    """Add to the gradients of `edge_messages`' p, u and w what grad (N, C) sends back; the messages are recomputed."""
     size = p.shape[1]
     half = size // 2
     share = np.float32(1 / nbr.shape[1])
@@ -161,7 +161,7 @@ def edge_mlp_backward(
     grad: F32, p: F32, r: F32, nbr: I32, q: F32, w: F32, v: F32,
     grad_p: F32, grad_r: F32, grad_w: F32, grad_v: F32, grad_b: F32,
 ) -> None:  # fmt: skip
-    """Adds to the gradients of `edge_mlp`'s p, r, w, v, b what grad (N, k, O) sends back; the values are recomputed."""
+    """Add to the gradients of `edge_mlp`'s p, r, w, v, b what grad (N, k, O) sends back; the values are recomputed."""
     size = p.shape[1]
     hidden, slope = np.empty(size, np.float32), np.empty(size, np.float32)
     for i in range(nbr.shape[0]):

@@ -79,7 +79,7 @@ class GraphLayer(nn.Module):
 
 
 class Edges(nn.Module):
-    """Two layers on the edges [neighbor - centre, centre] of a graph; the caller applies the last."""
+    """Two layers on the edges [neighbor - center, center] of a graph; the caller applies the last."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -87,19 +87,19 @@ class Edges(nn.Module):
         self.last = _edge_layer(channels, channels)
 
     def parts(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """What the first linear map gives of (B, n, C) features as neighbors and as centres: two (B n, C).
+        """What the first linear map gives of (B, n, C) features as neighbors and as centers: two (B n, C).
 
         W [n - c, c] = W1 n + (W2 - W1) c: one product a point instead of one an edge.
         """
         rows = features.flatten(0, 1)
-        on_offset, on_centre = self.first.linear.weight.chunk(2, dim=1)
-        centre = nn.functional.linear(rows, on_centre - on_offset, self.first.linear.bias)
-        return nn.functional.linear(rows, on_offset), centre
+        on_offset, on_center = self.first.linear.weight.chunk(2, dim=1)
+        center = nn.functional.linear(rows, on_center - on_offset, self.first.linear.bias)
+        return nn.functional.linear(rows, on_offset), center
 
-    def forward(self, neighbor: Tensor, centre: Tensor, neighbors: Tensor, rows: slice) -> Tensor:
+    def forward(self, neighbor: Tensor, center: Tensor, neighbors: Tensor, rows: slice) -> Tensor:
         """Features (m, k, C), after the first layer, of the edges from m rows to their (m, k) neighbors."""
         picked = neighbor.index_select(0, neighbors.flatten()).view(*neighbors.shape, -1)
-        return self.first.finish(picked.add_(centre[rows, None]))
+        return self.first.finish(picked.add_(center[rows, None]))
 
 
 class AdaptiveGate(nn.Module):

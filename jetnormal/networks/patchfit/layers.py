@@ -124,7 +124,7 @@ def nearest(points: Tensor, queries: Tensor, k: int) -> Tensor:
 class EdgeConv(nn.Module):
     """Edge convolution over a k-nearest-neighbor graph in feature space (Wang et al., DGCNN, 2019).
 
-    An edge carries [centre - neighbor, centre]; three maps, the first two with batch normalization and LeakyReLU(0.2),
+    An edge carries [center - neighbor, center]; three maps, the first two with batch normalization and LeakyReLU(0.2),
     then the maximum over the neighbors. Every point is its own neighbor.
     """
 
@@ -140,10 +140,10 @@ class EdgeConv(nn.Module):
         """(B, n, C_in) to (B, n, C_out)."""
         neighbors = nearest(features, features, self.k)
         # W [c - n, c] = (W1 + W2) c - W1 n: one product a point instead of one an edge
-        on_offset, on_centre = self.first.linear.weight.chunk(2, dim=1)
-        centre = nn.functional.linear(features, on_offset + on_centre, self.first.linear.bias)
+        on_offset, on_center = self.first.linear.weight.chunk(2, dim=1)
+        center = nn.functional.linear(features, on_offset + on_center, self.first.linear.bias)
         neighbor = nn.functional.linear(features, on_offset)
-        edges = self.first.finish(centre[:, :, None] - gather(neighbor, neighbors))
+        edges = self.first.finish(center[:, :, None] - gather(neighbor, neighbors))
         return linear_peak(self.last, self.second(edges))
 
 
@@ -166,12 +166,12 @@ class AdaptivePooling(nn.Module):
         """(B, n, 3) and (B, n, C) to (B, m, 3) and (B, m, C); the query, index 0, stays at index 0."""
         count = min(self.points, points.shape[1])
         kept = farthest_points(points, count) if self.farthest else every_nth(points, count)
-        centres = gather(points, kept)
-        neighbors = nearest(points, centres, self.k)
-        position = self.position(centres[:, :, None] - gather(points, neighbors))
+        centers = gather(points, kept)
+        neighbors = nearest(points, centers, self.k)
+        position = self.position(centers[:, :, None] - gather(points, neighbors))
         feature = gather(features, neighbors)
         attention = self.attention(gather(features, kept)[:, :, None] - feature + position)
-        return centres, (attention.softmax(2) * (feature + position)).sum(2)
+        return centers, (attention.softmax(2) * (feature + position)).sum(2)
 
 
 def _bottleneck(inputs: int, outputs: int) -> nn.Sequential:

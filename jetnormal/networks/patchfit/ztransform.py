@@ -37,8 +37,8 @@ class ZTransform(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         """(B, k, 3) patches to (B, 3, 3) rotations."""
         points = points[:, :: self.step]
-        centres, features = self.pool1(points, self.conv1(points))
-        _, features = self.pool2(centres, self.conv2(features))
+        centers, features = self.pool1(points, self.conv1(points))
+        _, features = self.pool2(centers, self.conv2(features))
         features = self.lift(self.conv3(features))
         summary = torch.cat([maximum(features, 1), features.mean(1)], dim=1)
         return rotation_matrix(self.quaternion(summary))
