@@ -249,12 +249,15 @@ def evaluate(data: Path_, models: Sequence[str | DirectionEstimator], options: E
     return evaluate(Path(data), models, options)
 
 
-def write(content: Any, path: Path_, *, encoding: str | None = None, overwrite: bool = False) -> None:
+def write(
+    content: Any, path: Path_, *, format: str | None = None, encoding: str | None = None, overwrite: bool = False
+) -> None:
     """Write a cloud or a mesh; the file appears complete or not at all.
 
     Args:
         content: a `Mesh`, a `Cloud`, or points as for `jetnormal.estimate`.
-        path: the target, whose suffix tells the format.
+        path: the target, whose suffix tells the format; or "-", standard output, for a cloud.
+        format: of a cloud, where the suffix does not tell it, such as "ply".
         encoding: of a cloud, such as "ascii" or "binary"; None keeps what the cloud was read in.
         overwrite: whether an existing file may be replaced.
 
@@ -265,11 +268,11 @@ def write(content: Any, path: Path_, *, encoding: str | None = None, overwrite: 
     if isinstance(content, Mesh):
         from jetnormal.formats.meshes import write_mesh
 
-        if encoding is not None:
-            raise UsageError("`encoding` is an option of clouds; a mesh has one by its suffix")
+        if encoding is not None or format is not None:
+            raise UsageError("`encoding` and `format` are options of clouds; a mesh has one by its suffix")
         _warn(write_mesh(content, path, overwrite=overwrite))
     else:
-        _warn(formats.write(to_cloud(content), path, encoding=encoding, overwrite=overwrite))
+        _warn(formats.write(to_cloud(content), path, format=format, encoding=encoding, overwrite=overwrite))
 
 
 def _taken(points: Any) -> Cloud:

@@ -206,3 +206,14 @@ def test_damaged_files_are_named(tmp_path, suffix):
     path.write_bytes(whole[:247] + count + whole[255:])
     with pytest.raises(InputError):
         formats.read(path)
+
+
+def test_a_table_of_chunks_that_asks_for_all_memory_is_refused(tmp_path):
+    """lazrs ends the process when it cannot have the memory for it."""
+    data = bytearray(lidar_file(tmp_path / "in.laz").read_bytes())
+    (start,) = struct.unpack_from("<I", data, 96)
+    (table,) = struct.unpack_from("<q", data, start)
+    struct.pack_into("<I", data, table + 4, 2**32 - 1)
+    (tmp_path / "bad.laz").write_bytes(data)
+    with pytest.raises(InputError, match="compressed chunks"):
+        formats.read(tmp_path / "bad.laz")
