@@ -52,7 +52,7 @@ def test_a_real_scan_gets_normals_and_keeps_its_colors(tmp_path):
         (["milk.pcd", "-o", "out.ply", "--model", "deepfit-small", "--device", "cuda:99"], 5, "cuda:99"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(tmp_path, arguments, code, words):
+def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(tmp_path, program, arguments, code, words):
     (tmp_path / "milk.pcd").write_bytes(MILK.read_bytes())
     formats.write(Cloud(np.eye(3)[:2]), tmp_path / "two.xyz")
     formats.write(Cloud(np.stack(np.meshgrid(*[range(3)] * 3), -1).reshape(-1, 3)), tmp_path / "grid.xyz")
@@ -60,7 +60,7 @@ def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(tmp_path, ar
     paths = [str(tmp_path / text) if "." in text and not text.startswith("-") else text for text in arguments]
     paths = [str(tmp_path / text) if text.startswith("nowhere") else text for text in paths]
     model = [] if "--model" in arguments or code == 5 else ["--model", "pca"]
-    result = estimate(*paths, *model)
+    result = program("estimate", *paths, *model)
     assert result.returncode == code, result.stderr
     assert words in result.stderr and "Traceback" not in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1

@@ -65,14 +65,16 @@ def test_the_library_is_found_and_the_user_s_files_are_not_imported(tmp_path):
         (["few.xyz", "-o", "out.ply", "--model", "nonesuch"], 4, "nonesuch"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(tmp_path, monkeypatch, arguments, code, words):
+def test_what_cannot_be_done_is_said_in_one_line_and_leaves_nothing(
+    tmp_path, monkeypatch, program, arguments, code, words
+):
     formats.write(Cloud(np.random.default_rng(0).random((9, 3))), tmp_path / "few.xyz")
     formats.write(Cloud(np.arange(90.0)[:, None] * [1, 1, 0]), tmp_path / "line.xyz")
     (tmp_path / "kept.obj").write_text("precious")
     before = sorted(tmp_path.iterdir())
     monkeypatch.chdir(tmp_path)
     model = [] if "--model" in arguments else ["--model", "pca"]
-    result = jetnormal("reconstruct", *arguments, *model)
+    result = program("reconstruct", *arguments, *model)
     assert result.returncode == code, result.stderr
     lines = [line for line in result.stderr.strip().splitlines() if "warning" not in line]
     assert words in lines[-1] and "Traceback" not in result.stderr
