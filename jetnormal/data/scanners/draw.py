@@ -45,8 +45,12 @@ def random_scan(target: Target, largest: int, rng: np.random.Generator) -> Scan:
         ValueError: nothing of the surface can be seen.
     """
     shares = scene_shares(target.kind) if isinstance(target, SceneTarget) else FAMILIES
-    kind = str(rng.choice(list(shares), p=list(shares.values())))
-    return scan(target, kind, max(1, round(largest * SMALLEST ** rng.random())), rng)
+    for _ in range(TRIES):
+        kind = str(rng.choice(list(shares), p=list(shares.values())))
+        seen = _attempt(target, kind, max(1, round(largest * SMALLEST ** rng.random())), rng)
+        if seen is not None:
+            return seen
+    raise ValueError("the scanners saw next to nothing of the surface")
 
 
 def scan(target: Target, kind: str, count: int, rng: np.random.Generator) -> Scan:
@@ -62,13 +66,21 @@ def scan(target: Target, kind: str, count: int, rng: np.random.Generator) -> Sca
         ValueError: nothing of the surface can be seen.
     """
     for _ in range(TRIES):
-        if isinstance(target, SceneTarget):
-            seen = SCENE_SCANNERS[target.kind][kind][0](target, count, rng)
-        else:
-            seen = OBJECT_SCANNERS[kind](target, count, rng)
-        if len(seen) >= min(LEAST_POINTS, count / 4):
-            seen = handled(seen, rng)
-            seen = seen if len(seen) <= count else seen.take(np.sort(rng.choice(len(seen), count, replace=False)))
-            points, sensors = (target.center + target.size * places for places in (seen.points, seen.sensors))
-            return replace(seen, points=points, sensors=sensors)
-    raise ValueError("the scanner saw next to nothing of the surface")
+        seen = _attempt(target, kind, count, rng)
+        if seen is not None:
+            return seen
+    raise ValueError(f"a {kind} scanner saw next to nothing of the surface")
+
+
+def _attempt(target: Target, kind: str, count: int, rng: np.random.Generator) -> Scan | None:
+    """A scan in the surface's own coordinates, or None if it has too few points."""
+    if isinstance(target, SceneTarget):
+        seen = SCENE_SCANNERS[target.kind][kind][0](target, count, rng)
+    else:
+        seen = OBJECT_SCANNERS[kind](target, count, rng)
+    if len(seen) < min(LEAST_POINTS, count / 4):
+        return None
+    seen = handled(seen, rng)
+    seen = seen if len(seen) <= count else seen.take(np.sort(rng.choice(len(seen), count, replace=False)))
+    points, sensors = (target.center + target.size * places for places in (seen.points, seen.sensors))
+    return replace(seen, points=points, sensors=sensors)
