@@ -101,7 +101,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def strays(folder: Path) -> list[str]:
-    return [path.name for path in folder.rglob(".*")]
+    """Unfinished files; the lock of a training stays."""
+    return [path.name for path in folder.rglob(".*") if path.suffix in (".tmp", ".old")]
 
 
 def torture(
