@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from jetnormal.jobs.options import EstimateOptions, ReconstructOptions
     from jetnormal.mesh import Mesh
     from jetnormal.networks.checkpoint import load_model
-    from jetnormal.orientation.methods import orient
+    from jetnormal.orientation.policy import orient
 
 __all__ = [
     "Cloud",
@@ -57,7 +57,7 @@ _HOMES = {
     "estimate": "jetnormal.api",
     "evaluate": "jetnormal.api",
     "load_model": "jetnormal.networks.checkpoint",
-    "orient": "jetnormal.orientation.methods",
+    "orient": "jetnormal.orientation.policy",
     "read": "jetnormal.formats",
     "reconstruct": "jetnormal.api",
     "write": "jetnormal.api",

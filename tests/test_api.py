@@ -88,11 +88,11 @@ def test_the_viewpoint_may_change_from_call_to_call():
         inward = est(sphere(), viewpoint=viewpoint)
         assert (
             inward.orient == "viewpoint"
-            and inward.reason == "a viewpoint was given"
+            and inward.reason == "the viewpoint was given"
             and ((inward.normals * sphere()).sum(axis=1) < 0).all()
         )
     outward = est(sphere())
-    assert outward.orient == "global" and outward.reason == "no viewpoint is known: outward"
+    assert outward.orient == "global" and outward.reason == "its surfaces are closed"
 
 
 def test_results_have_the_shape_of_the_points():

@@ -197,8 +197,8 @@ def report(summary: dict[str, Any]) -> None:
         f"{summary['valid']:,}",
         f"{summary['points']:,}",
         summary["model"],
-        summary["orient"],
-        summary["orient_reason"],
+        summary["orient"]["used"],
+        summary["orient"]["reason"],
         sum(summary["seconds"].values()),
         f"{summary['points_per_second']:,.0f}",
     )

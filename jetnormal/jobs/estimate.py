@@ -22,6 +22,7 @@ from jetnormal.support.report import Advance, StageTimer, peak_memory_mb, progre
 
 if TYPE_CHECKING:
     from jetnormal.orientation.methods import Orientation
+    from jetnormal.orientation.policy import Decision
 
 FEW_NEIGHBORS = 10  # of a jet for a cloud too small for a network: a sphere of 45 points has 2.7 degrees, with 45 39
 MAX_COORDINATE = 1e150  # squares of differences must be finite
@@ -40,8 +41,8 @@ class Result:
             where the surface bends towards the normal; None of a plane.
         sign_confidence: (N,) float32, 0 to 1, how sure each sign is (`orientation.methods.Orientation`).
         model: what estimated the normals, with its settings.
-        orient: the method that chose the signs.
-        reason: why that method.
+        orient: the method that chose the signs (`orientation.policy.Decision.used`).
+        decision: why that one, and how sure it is.
         warnings: what a user should know.
         seconds: wall-clock time by stage: clean, estimate, orient.
     """
@@ -52,9 +53,14 @@ class Result:
     sign_confidence: NDArray[np.float32]
     model: str
     orient: str
-    reason: str
+    decision: Decision
     warnings: tuple[str, ...]
     seconds: dict[str, float]
+
+    @property
+    def reason(self) -> str:
+        """Why that method chose the signs."""
+        return self.decision.reason
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -95,7 +101,7 @@ def estimate_file(
         overwrite: whether an existing output may be replaced.
 
     Returns:
-        A summary: input, output, points, valid (with a normal), model, orient, orient_reason, seconds (by stage),
+        A summary: input, output, points, valid (with a normal), model, orient, seconds (by stage),
         points_per_second (of estimation and orientation), peak_memory_mb, warnings.
 
     Raises:
@@ -149,8 +155,7 @@ def run_file(
         "points": len(cloud),
         "valid": valid,
         "model": result.model,
-        "orient": result.orient,
-        "orient_reason": result.reason,
+        "orient": result.decision.facts(),
         "seconds": timer.seconds,
         "points_per_second": round(valid / busy) if busy else None,
         "peak_memory_mb": peak_memory_mb(),
@@ -171,11 +176,9 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         InputError, UsageError: as `jetnormal.estimate`.
     """
     from jetnormal.geometry.neighbors import distinct
-    from jetnormal.geometry.scale import unit_scale
-    from jetnormal.orientation.methods import choose_signs
-    from jetnormal.orientation.policy import seen_from_origin, sign_method, sign_reason, sign_warnings
+    from jetnormal.orientation.policy import find_sensors, settle
 
-    method, viewpoint = sign_method(options, cloud)
+    sensors = find_sensors(options, cloud)
     with timer.stage("clean"):
         rows = np.flatnonzero(cloud.valid)
         points = cloud.points[rows]
@@ -184,20 +187,14 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
             raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
         first, copies = distinct(points)
         points = points[first]
-        if viewpoint is not None and viewpoint.ndim == 2:
-            viewpoint = viewpoint[rows][first]
     if len(points) < 3:
         raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
     with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
         prediction, name, warnings = _predict(points, estimator, options, advance)
     with timer.stage("orient"):
-        points, exponent = unit_scale(points)
-        if viewpoint is not None:
-            viewpoint = np.clip(np.ldexp(viewpoint, exponent), -MAX_COORDINATE, MAX_COORDINATE)
-        orientation = choose_signs(points, prediction.normals, method, viewpoint=viewpoint)
-        from_origin = seen_from_origin(orientation, points, options, cloud)
-    orientation = from_origin or orientation
-    warnings += sign_warnings(orientation, viewpoint, from_origin is not None)
+        known = None if sensors is None else sensors.of(rows[first])
+        orientation, decision = settle(points, prediction.normals, options.orient, known, cloud.source)
+    warnings += decision.warnings()
 
     def spread(values: NDArray[Any]) -> NDArray[Any]:
         """Values of the distinct points as values of all rows of the cloud, NaN where there are none."""
@@ -214,8 +211,8 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         None if curvatures is None else spread(curvatures),
         spread(orientation.confidence),
         name,
-        method,
-        sign_reason(options, cloud, method, from_origin is not None),
+        decision.used,
+        decision,
         tuple(warnings),
         {stage: timer.seconds[stage] for stage in ("clean", "estimate", "orient")},
     )

@@ -104,7 +104,8 @@ class NormalOptions(OptionSet):
     orient: Annotated[
         Literal["auto", "global", "mst", "viewpoint", "up", "none"],
         Option(
-            "How the signs are chosen; auto takes the viewpoint if one is known, else global: outward.", group="Signs"
+            "How the signs are chosen; auto decides by what is known of the sensor and what the cloud shows.",
+            group="Signs",
         ),
     ] = "auto"
     viewpoint: Annotated[
@@ -115,6 +116,13 @@ class NormalOptions(OptionSet):
         Names | None,
         Option("Attributes that hold this position for each point.", parse=parse_names, metavar="X,Y,Z", group="Signs"),
     ] = None
+    trajectory: Annotated[
+        str | None,
+        Option("File of times and positions of the sensor: time x y z in rows.", metavar="FILE", group="Signs"),
+    ] = None
+    time_attribute: Annotated[
+        str, Option("Attribute that holds each point's time on the trajectory.", metavar="NAME", group="Signs")
+    ] = "gps_time"
     device: Annotated[str, Option("Where a patch network runs.", metavar="auto|cpu|cuda[:N]", group="Resources")] = (
         "auto"
     )
@@ -144,10 +152,11 @@ class NormalOptions(OptionSet):
             raise UsageError("`viewpoint` takes three finite numbers")
         if names is not None and not all(names):
             raise UsageError("`viewpoint_attribute` takes the names of three attributes, of x, y and z")
-        if viewpoint is not None and names is not None:
-            raise UsageError("`viewpoint` contradicts `viewpoint_attribute`: leave one of them out")
+        given = [o for o in ("viewpoint", "viewpoint_attribute", "trajectory") if getattr(self, o) is not None]
+        if len(given) > 1:
+            raise UsageError(f"`{given[0]}` contradicts `{given[1]}`: leave one of them out")
         if self.orient not in ("auto", "viewpoint"):
-            for option in ("viewpoint", "viewpoint_attribute"):
+            for option in ("viewpoint", "viewpoint_attribute", "trajectory"):
                 if getattr(self, option) is not None:
                     raise UsageError(f"`{option}` contradicts `orient={self.orient}`: leave one of them out")
 

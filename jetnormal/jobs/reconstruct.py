@@ -29,7 +29,7 @@ MAX_DISAGREEMENT = 0.1  # share of neighbors with opposite normals
 # An open surface is cut where the density falls below that of nearly all its vertices among the points.
 OPEN_TRIM_PERCENTILE = 2.0
 NOISE_CELLS = 4.0  # of the noise in a cell, by default
-FOR_NORMALS = ("model", "k", "order", "iterations", "orient", "viewpoint", "viewpoint_attribute")  # options
+FOR_NORMALS = ("model", "k", "order", "iterations", "orient", "viewpoint", "viewpoint_attribute", "trajectory")
 
 
 def reconstruct_file(
@@ -144,7 +144,7 @@ def _with_normals(cloud: Cloud, options: ReconstructOptions, timer: StageTimer) 
         with timer.stage("model"):
             estimator = prepare_estimator(options)
         result = find_normals(cloud, options, estimator, timer)
-        facts = {"normals": result.model, "orient": result.orient, "warnings": [*result.warnings]}
+        facts = {"normals": result.model, "orient": result.decision.facts(), "warnings": [*result.warnings]}
         return replace(cloud, normals=result.normals), facts
     length = np.linalg.norm(cloud.normals, axis=1)
     usable = cloud.valid & np.isfinite(length) & (length > 0)

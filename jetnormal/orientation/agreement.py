@@ -1,9 +1,9 @@
-"""Relative signs of normals: which neighbors agree, and how agreement spreads over a surface.
+"""Which neighbors agree in their signs, and patches of points in which all do.
 
 The edge test is the mirror test of Xie et al., "Piecewise C1 continuous surface reconstruction of noisy point clouds
-via local implicit quadric regression" (2003), right across sharp edges and between the sides of thin plates, where
-the n.n' of Hoppe et al., "Surface reconstruction from unorganized points" (1992) is a tie or wrong; it fades into
-Hoppe's as an edge drowns in noise, where the mirror misleads.
+via local implicit quadric regression" (2003). It is right across sharp edges and between the sides of thin plates,
+where n.n' of Hoppe et al., "Surface reconstruction from unorganized points" (1992) is a tie or wrong. With growing
+noise the mirror test becomes unreliable, so it is blended back to n.n'.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.orientation.kernels import edge_agreement, join_edges, third_smallest_height
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,9 +31,10 @@ ROUGHNESS_RANK = 2
 # Edges much longer than this many roughnesses are judged by the mirror test, much shorter ones by n.n'.
 # Of 4, 8 and 16 this was the best on noisy solids, and none of them cost anything on clean ones.
 ROUGHNESS_SCALE = 16.0
-PATCH_AGREEMENT = 0.8  # of all edges that hold a patch together
-PATCH_SPACINGS = 30.0  # side of the cells that no patch crosses: about 900 points
-# An edge longer than this many radii of its other end starts at a stray point, and is no bridge between surfaces.
+PATCH_AGREEMENT = 0.8  # of the edges that join points to a patch
+BUCKETS = 4096  # edges of nearly the same weight are in the order of their points
+PATCH_POINTS = 900  # at most: a wrong edge inside of a patch spoils no other
+# An edge longer than this many radii of its other end starts at a stray point: it joins nothing.
 BRIDGE_RADII = 3.0
 REVOTES = 3
 
@@ -46,6 +48,8 @@ class Surface:
         radius: (N,) distance of the farthest of these.
         spacing: (N,) distance between points on a flat surface of the density found there.
         roughness: (N,) noise, as a height over the tangent plane; it levels off as noise exceeds the spacing.
+        edges: (N, k) how sure the signs of a point and its neighbors agree (`kernels.edge_agreement`), 0 from strays.
+        lengths: (N, k) of the edges.
     """
 
     def __init__(self, points: Floats, normals: Floats) -> None:
@@ -56,34 +60,15 @@ class Surface:
         self.radius: Floats = distances[:, -1]
         self.spacing: Floats = self.radius * np.sqrt(np.pi / max(1, count - 1))
         self.roughness = self._measure_roughness()
-        rows = np.arange(len(points))[:, None]
-        self.edges, self.lengths = self.agreement(rows, self.neighbors)  # (N, k) both
+        self.edges, self.lengths = np.empty(self.neighbors.shape), distances[:, 1:]
+        edge_agreement(points, normals, self.roughness, self.neighbors, ROUGHNESS_SCALE / 2, self.edges)
+        self.edges[self.lengths > BRIDGE_RADII * self.radius[self.neighbors]] = 0
 
     def _measure_roughness(self) -> Floats:
         if self.neighbors.shape[1] <= ROUGHNESS_RANK:
             return np.zeros(len(self.points))
-        heights = np.zeros(self.neighbors.shape)
-        for axis in range(3):
-            step = self.points[self.neighbors, axis] - self.points[:, axis, None]
-            heights += self.normals[:, axis, None] * step
-        rank = np.partition(np.abs(heights), ROUGHNESS_RANK, axis=1)[:, ROUGHNESS_RANK]
-        return rank[self.neighbors].mean(axis=1)
-
-    def agreement(self, i: Ints, j: Ints) -> tuple[Floats, Floats]:
-        """How sure the signs of i and j agree (1: surely, 0: unknown, -1: surely not), and their distance.
-
-        n_j is mirrored in the bisector plane of the edge e before it is compared with n_i, which gives
-        n_i.n_j - 2 (n_i.e)(n_j.e) / |e|^2; roughness adds to |e|^2.
-        """
-        squared, along_i, along_j, dot = (np.zeros(np.broadcast_shapes(i.shape, j.shape)) for _ in range(4))
-        for axis in range(3):  # one axis at a time: a third of the memory
-            step = self.points[j, axis] - self.points[i, axis]
-            squared += step * step
-            along_i += self.normals[i, axis] * step
-            along_j += self.normals[j, axis] * step
-            dot += self.normals[i, axis] * self.normals[j, axis]
-        blur = ROUGHNESS_SCALE / 2 * (self.roughness[i] + self.roughness[j])
-        return dot - 2 * along_i * along_j / (squared + blur * blur), np.sqrt(squared)
+        rank = third_smallest_height(self.points, self.normals, self.neighbors)
+        return np.asarray(rank[self.neighbors].mean(axis=1))
 
     def turn(self, flips: Bools) -> None:
         """Turns the normals (N,) that are to flip."""
@@ -104,20 +89,6 @@ class Forest:
     def only(self, kept: Bools) -> Forest:
         """The forest of some of the edges (E,)."""
         return Forest(self.row[kept], self.col[kept], self.agreement[kept], self.nodes)
-
-
-def point_forest(surface: Surface) -> Forest:
-    """The spanning forest of the neighbor graph over its surest edges."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import minimum_spanning_tree
-
-    n, k = surface.neighbors.shape
-    weight = np.maximum(1 - np.abs(surface.edges), 0)
-    weight += LENGTH_WEIGHT * surface.lengths / (surface.radius[:, None] + surface.radius[surface.neighbors])
-    graph = csr_matrix((weight.ravel(), surface.neighbors.ravel(), np.arange(n + 1) * k), (n, n))
-    tree = minimum_spanning_tree(graph, overwrite=True).tocoo()
-    row, col = tree.row.astype(np.int64), tree.col.astype(np.int64)
-    return Forest(row, col, surface.agreement(row, col)[0], n)
 
 
 def patch_forest(coupling: Any) -> Forest:
@@ -165,34 +136,38 @@ def spread_signs(forest: Forest) -> tuple[Bools, Ints]:
     return flips[:-1], tree
 
 
-def patches(surface: Surface) -> Ints:
-    """Turns normals so that they are consistent in patches of up to about 900 points; each point's patch (N,).
+def patches(surface: Surface) -> tuple[Bools, Ints]:
+    """Find patches of up to `PATCH_POINTS` points that hang together by sure edges, the surest first.
 
-    A patch is what hangs together by sure edges of the spanning forest within a cell of a grid: a wrong edge elsewhere
-    cannot spoil it, and a wrong one inside spoils no other.
+    Returns:
+        Which normals (N,) to flip so that they are consistent in every patch, and each point's patch (N,).
     """
-    forest = point_forest(surface)
-    size = PATCH_SPACINGS * np.median(surface.spacing)
-    cell = np.floor((surface.points - surface.points.min(axis=0)) / (size if size > 0 else 1))
-    kept = np.abs(forest.agreement) >= PATCH_AGREEMENT
-    kept &= (cell[forest.row] == cell[forest.col]).all(axis=1)
-    flips, patch = spread_signs(forest.only(kept))
-    surface.turn(flips)
-    return patch
+    doubt = 1 - np.abs(surface.edges)
+    edge = np.flatnonzero(doubt <= 1 - PATCH_AGREEMENT)
+    row, column = np.divmod(edge, surface.neighbors.shape[1])
+    other = surface.neighbors[row, column]
+    length = surface.lengths[row, column] / (surface.radius[row] + surface.radius[other])
+    weight = doubt[row, column] + LENGTH_WEIGHT * length
+    bucket = (weight * (BUCKETS / (1 - PATCH_AGREEMENT + LENGTH_WEIGHT))).astype(np.uint16)
+    order = np.argsort(bucket, kind="stable")
+    root = np.arange(len(surface.points))
+    flips = np.zeros(len(root), dtype=np.bool_)
+    join_edges(row[order], other[order], surface.edges[row, column][order] < 0, PATCH_POINTS, root, flips)
+    return flips, np.unique(root, return_inverse=True)[1]
 
 
-def couplings(surface: Surface, patch: Ints) -> Any:
+def couplings(surface: Surface, patch: Ints, flips: Bools) -> Any:
     """How far patches agree, a symmetric sparse (M, M) matrix.
 
     It is the sum of c |c| over the edges c between two patches, times its share of what the sum would be if they all
-    agreed: many edges of two minds say less than a few of one.
+    agreed: many edges of two minds say less than a few of one. flips (N,): which normals are taken as flipped.
     """
     from scipy.sparse import coo_matrix
 
     count = int(patch.max()) + 1
     here, there = np.broadcast_to(patch[:, None], surface.neighbors.shape), patch[surface.neighbors]
-    between = (here != there) & (surface.lengths <= BRIDGE_RADII * surface.radius[surface.neighbors])
-    weight = surface.edges[between]
+    between = (here != there) & (surface.edges != 0)
+    weight = np.where(flips[:, None] ^ flips[surface.neighbors], -surface.edges, surface.edges)[between]
     places = here[between], there[between]
     total, net = (coo_matrix((c * abs(weight), places), (count, count)).tocsr() for c in (abs(weight), weight))
     total, net = (total + total.T) / 2, (net + net.T) / 2

@@ -12,10 +12,72 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from jetnormal.orientation.agreement import Surface
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NOISY = 0.15  # roughness over spacing
+NOISY_SHARE = 0.01  # of an object's points; fewer are at edges
+STRAY_RADII = 5.0  # neighborhood radius, over the median of an object
+CELL_SPACINGS = 1.5  # side of the field's cells
+MAX_CELL_SPACINGS = 4.0  # a coarser field knows less than the neighbors
+MIN_CELLS, MAX_CELLS = 16, 256  # along the field's side
+CELLS_PER_POINT = 20.0
+ROUNDS = 4
 MARGIN = 1.3  # side of the periodic box over the largest extent of the points
 SMOOTHING = 1.0  # standard deviation, in cells, of the Gaussian that hides the grid
+
+
+def contradicted(surface: Surface, label: Ints) -> tuple[NDArray[np.bool_], Floats]:
+    """Find noisy points that the field of their object's points contradicts.
+
+    Each object has a field of its own: closed surfaces do not influence each other, and a common grid would be as
+    coarse as they are far apart.
+
+    Args:
+        surface: N points with outward normals, most of them right.
+        label: (N,) the object of each, or -1: it is left alone.
+
+    Returns:
+        Which normals to flip (N,), and how sure the field is of each sign then (N,), 0 to 1; 1 where it was not asked.
+    """
+    strength = np.ones(len(label))
+    noisy = (surface.roughness > NOISY * surface.spacing) & (label >= 0)
+    flips = np.zeros(len(label), dtype=np.bool_)
+    if not noisy.any():
+        return flips, strength
+    share = np.bincount(label[label >= 0], noisy[label >= 0]) / np.maximum(np.bincount(label[label >= 0]), 1)
+    for one in np.flatnonzero(share > NOISY_SHARE):
+        rows = np.flatnonzero(label == one)
+        rows = rows[surface.radius[rows] <= STRAY_RADII * np.median(surface.radius[rows])]
+        asked = noisy[rows]
+        found = _field_strength(surface.points[rows], surface.normals[rows], surface.spacing[rows], asked)
+        strength[rows], flips[rows] = np.abs(found), found < 0
+    return flips, strength
+
+
+def _field_strength(points: Floats, normals: Floats, spacing: Floats, noisy: NDArray[np.bool_]) -> Floats:
+    """How far the field of all points agrees with the normals of noisy ones (N,), -1 to 1; 1 for the others."""
+    strength = np.ones(len(points))
+    cells = _cells(points, spacing)
+    for _ in range(ROUNDS):
+        field = DipoleField(points, normals * (strength * spacing**2)[:, None], cells)
+        rows = np.flatnonzero(noisy & (spacing * MAX_CELL_SPACINGS > field.cell))
+        drop = field.drop(points[rows], normals[rows])
+        scale = np.median(np.abs(drop)) if len(rows) else 0.0
+        strength[rows] = np.clip(drop / scale, -1, 1) if scale > 0 else 1
+    return strength
+
+
+def _cells(points: Floats, spacing: Floats) -> int:
+    """Cells along a field's side: as many as the spacing asks for, but not many more in all than there are points."""
+    from scipy.fft import next_fast_len
+
+    extent = float(np.ptp(points, axis=0).max())
+    wanted = MARGIN * extent / (CELL_SPACINGS * float(np.median(spacing)))
+    most = min(MAX_CELLS, np.cbrt(CELLS_PER_POINT * len(points)))
+    return int(next_fast_len(int(np.clip(wanted, MIN_CELLS, max(MIN_CELLS, most))), real=True))
 
 
 class DipoleField:
@@ -39,7 +101,7 @@ class DipoleField:
         grid = np.zeros(cells**3)
         for side in (1, -1):
             for index, weight in self._corners(points - side * offset):
-                np.add.at(grid, index, side * charge * weight)
+                grid += np.bincount(index, side * charge * weight, len(grid))
         wave = fftfreq(cells, 1 / cells)
         squared = wave[:, None, None] ** 2 + wave[:, None] ** 2 + np.arange(cells // 2 + 1.0) ** 2
         squared[0, 0, 0] = 1  # the constant, which is not known

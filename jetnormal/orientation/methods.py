@@ -1,28 +1,27 @@
 """Signs of normals: directions stay bit for bit what they were, only signs change.
 
-`global` and `mst` need nothing but the points, `viewpoint` and `up` use what is known about the scan, `none` leaves
-the signs alone. No other looks at the signs that come in: scrambling those changes nothing.
+`global`, `view` and `mst` need nothing but the points; `viewpoint`, `up` and `terrain` use what is known about the
+scan; `none` leaves the signs alone. No other looks at the signs that come in: scrambling those changes nothing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jetnormal.geometry.neighbors import distinct
-from jetnormal.orientation.agreement import Surface, couplings, patch_forest, patches, revote, spread_signs
-from jetnormal.orientation.outward import turn_outward
-from jetnormal.orientation.spanning_tree import mend
-from jetnormal.orientation.visibility import extremes_look_inward, looks_down
+from jetnormal.orientation.agreement import Surface
+from jetnormal.orientation.outward import turn_outward, turn_up
+from jetnormal.orientation.single_view import Outcome, View
+from jetnormal.orientation.spanning_tree import grow_tree
+from jetnormal.orientation.visibility import looks_down
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Method = Literal["global", "mst", "viewpoint", "up", "none"]
-
-OUTLIER_RADIUS = 5.0  # neighborhood radius, over the median of all
+Method = Literal["global", "view", "mst", "viewpoint", "up", "terrain", "none"]
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,14 @@ class Orientation:
         normals: (N, 3) of the dtype that came in.
         confidence: (N,) float32 in [0, 1], how sure each sign is: by the agreement of neighbors, patches and views;
             for "viewpoint" and "up", the cosine between the normal and the sight line; 0 where no sign was chosen.
-        open: (N,) whether "global" found a point on a surface that has no outside, and turned that up.
+        open: (N,) whether a point was found on a surface that has no outside.
+        view: the side from which "view" thinks that the open surfaces were seen; None if they do not show one.
     """
 
     normals: NDArray[Any]
     confidence: NDArray[np.float32]
     open: Bools
+    view: View | None = None
 
 
 def orient(
@@ -67,10 +68,12 @@ def choose_signs(
         method: how signs are chosen:
             "global": outward, for closed surfaces; the wall of a cavity looks into the cavity. A component that is
             seen from both sides (a terrain, a wall) is turned up.
+            "view": as "global", but open surfaces look to where one sensor saw them from, if they show that.
             "mst": consistent over a spanning tree of each component, whose extreme points then look out; one without
             an outside is turned up. An inner shell looks out of itself.
             "viewpoint": towards `viewpoint`.
             "up": n_z > 0, for airborne scans; where n_z is 0, n_y > 0, and where that is 0 too, n_x > 0.
+            "terrain": up, walls and crowns away from what is behind them.
             "none": as they are.
         viewpoint: for the method "viewpoint", the sensor's (x, y, z) in the frame of the points, or one for each
             point, (N, 3). A normal at a right angle to its sight line, or without one, is turned up.
@@ -99,23 +102,12 @@ def choose_signs(
     elif method == "up":
         result.confidence[rows] = used[:, 2]
     elif len(rows):
-        turned, result.confidence[rows], result.open[rows] = _spread(points[rows].astype(np.float64), used, method)
+        turned, found = _spread(points[rows].astype(np.float64), used, method)
         flip ^= turned
+        result.confidence[rows], result.open[rows] = found.sure, found.open
+        result = replace(result, view=found.view)
     result.normals[rows[flip]] *= -1
     return result
-
-
-def default_method(source_viewpoint: tuple[float, ...] | None) -> Method:
-    """The method where the user names none: a file that says where its scanner stood decides, else "global".
-
-    Args:
-        source_viewpoint: a PCD file's VIEWPOINT, position and then quaternion, or None. The origin is what
-            writers put there when they know nothing.
-    """
-    if source_viewpoint is None:
-        return "global"
-    position = np.asarray(source_viewpoint[:3], dtype=np.float64)
-    return "viewpoint" if np.isfinite(position).all() and position.any() else "global"
 
 
 def _sights(points: NDArray[Any], viewpoint: ArrayLike | None) -> Floats:
@@ -129,35 +121,18 @@ def _sights(points: NDArray[Any], viewpoint: ArrayLike | None) -> Floats:
     return np.divide(sights, length, out=np.zeros(points.shape), where=np.isfinite(length) & (length > 0))
 
 
-def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Floats, Bools]:
-    """Which unit normals (N, 3) to flip, how sure that is (N,), and which points are on open surfaces; N >= 1."""
-    points = points - (points.min(axis=0) + points.max(axis=0)) / 2  # far from the origin, projections would be coarse
+def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Outcome]:
+    """Which unit normals (N, 3) to flip, and what was found; N >= 1."""
+    middle = np.partition(points, len(points) // 2, axis=0)[len(points) // 2]  # whatever strays are where
+    points = points - middle  # far from the origin, projections would be coarse
     first, copy_of = distinct(points)
     surface = Surface(points[first], normals[first])
-    if method == "global":
-        sure, is_open = turn_outward(surface)
+    if method == "mst":
+        found = grow_tree(surface)
+    elif method == "terrain":
+        found = turn_up(surface)
     else:
-        sure, is_open = _grow_tree(surface), np.zeros(len(first), dtype=bool)
+        found = turn_outward(surface, views=method == "view")
     # Copies of a point follow the first one. In the graph, many of them would see nothing but each other.
-    return np.einsum("nd,nd->n", normals, surface.normals[copy_of]) < 0, sure[copy_of], is_open[copy_of]
-
-
-def _grow_tree(surface: Surface) -> Floats:
-    """Turns normals consistently along a spanning tree of patches; returns how far neighbors agree (N,), 0 to 1.
-
-    Hoppe et al., "Surface reconstruction from unorganized points" (1992), with patches of points for points: what
-    joins two patches is the sum of all edges between them, which one wrong edge cannot turn over. Then branches turn
-    that contradict the rest.
-    """
-    patch = patches(surface)
-    coupling = couplings(surface, patch)
-    forest = patch_forest(coupling)
-    flips, tree = spread_signs(forest)
-    surface.turn(mend(forest, coupling, flips)[patch])
-    sure = revote(surface)
-    component = tree[patch]
-    stray = surface.radius > OUTLIER_RADIUS * np.median(surface.radius)
-    crowd = np.bincount(component, ~stray)
-    stray &= crowd[component] > 0
-    surface.turn(extremes_look_inward(surface, component, stray)[component])
-    return sure
+    flips = np.einsum("nd,nd->n", normals, surface.normals[copy_of]) < 0
+    return flips, replace(found, sure=found.sure[copy_of], open=found.open[copy_of])

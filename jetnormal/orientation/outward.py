@@ -1,32 +1,28 @@
-"""Outward signs that neither a wrong edge nor a wrong component can turn over.
+"""The method "global": every normal looks out of the matter, whatever single neighbors, patches or objects say.
 
-Patches of consistent signs (`agreement.patches`) are told by visibility where outside is. Their votes and their
-agreement with the patches around them are weighed in one linear system. A surface hidden inside another is looked at
-after that one has been taken away, and turned by whether it lies in matter or in a hole. Where the votes for both
-sides are about as many, a surface is open: it has no outside, and is turned up, by what is seen of it from above.
-Where noise is not small against the spacing, the dipole field of all normals (`dipole_field.DipoleField`) has the last
-word on single points.
+1. Neighbors that surely agree join to patches (`agreement.patches`); patches that touch are coupled.
+2. Each connected component is looked at from all around (`visibility.look`): whoever sees a closed surface stands
+   outside of it. A component that both sides of are seen, alone and among the others, is open: it has no outside.
+3. Couplings and votes are weighed in one linear system. Couplings that agree with each other count far more: where
+   scanners left holes, one sees the inside of much of a surface, but hardly a coupling is wrong.
+4. A component inside the matter of another is the wall of a cavity, and is turned inward.
+5. An open surface is turned up.
+6. Where noise is not small against the spacing, the field of all normals (`dipole_field`) corrects single points.
+7. Specks, of fewer points than a surface needs, take the sign of the surface beside them.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.orientation.agreement import (
-    PATCH_SPACINGS,
-    Surface,
-    couplings,
-    patch_forest,
-    patches,
-    relax,
-    revote,
-    spread_signs,
-)
-from jetnormal.orientation.dipole_field import MARGIN, DipoleField
-from jetnormal.orientation.visibility import VIEWS, look
+from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.orientation.agreement import Surface, patch_forest, relax, revote, spread_signs
+from jetnormal.orientation.dipole_field import contradicted
+from jetnormal.orientation.kernels import solid_angles
+from jetnormal.orientation.parts import Parts, divide
+from jetnormal.orientation.single_view import Outcome, View, as_seen
+from jetnormal.orientation.visibility import VIEWS, Votes, look
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,127 +30,167 @@ Bools = NDArray[np.bool_]
 
 FULL_VOTE = VIEWS / 4  # of a point that all views see from outside
 MIN_SEEN = 0.04  # of the full votes, for a component; less comes through holes between points
-MAX_LAYERS = 4  # of surfaces inside surfaces
 OPEN_PURITY = 0.5  # |sum| over sum of a patch's votes: nearly 1 on closed surfaces, 0.3 on a hemisphere
+# Votes over couplings, if all agree. Couplings that do not contradict each other are hardly ever wrong, while a third
+# of the votes are where scanners left holes: then votes only say which of the two solutions is outward. Where
+# couplings do contradict each other, or noise hides which side of a thin part a point is on, both count alike.
+SURE_WEIGHT, DOUBTFUL_WEIGHT = 0.01, 1.0
+CONTRADICTION = 1e-3  # share of the couplings that the others contradict
+DROWNED = 0.25  # roughness over spacing
+LEVEL = 0.3  # cosine to the vertical; what is steeper is a wall
+PLACES, SOURCES = 16, 4096  # points of a component that tell whether it is inside, and that tell it of others
 # The votes for up of a patch count up to as many sure edges as lie along its side. In a smooth sheet, several times
 # that many join two patches; in the noisy crease between a wall and the ground, fewer.
-MAX_UPRIGHT = PATCH_SPACINGS
-NOISY = 0.15  # roughness over spacing
-CELL_SPACINGS = 1.5  # side of the field's cells
-MAX_CELL_SPACINGS = 4.0  # a coarser field knows less than the neighbors
-MIN_CELLS, MAX_CELLS = 16, 256  # along the field's side
-CELLS_PER_POINT = 20.0
-ROUNDS = 4
+MAX_UPRIGHT = 30.0
 
 
-def turn_outward(surface: Surface) -> tuple[Floats, Bools]:
-    """Turns the normals of a surface outward.
-
-    Returns:
-        How sure the signs are (N,), 0 to 1, and which points (N,) are on a surface without an outside.
-    """
-    from scipy.sparse.csgraph import connected_components
-
-    patch = patches(surface)
-    coupling = couplings(surface, patch)
-    component = connected_components(coupling, directed=False)[1].astype(np.int64)[patch]
-    belief, is_open = _Jury(surface, patch, component, coupling).decide()
-    surface.turn((belief < 0)[patch])
-    sure = revote(surface) * np.abs(belief)[patch]
-    return sure * _refine(surface), is_open[component]
-
-
-class _Jury:
-    """M patches of N points in C components, and what is known about their outside.
+def turn_outward(surface: Surface, *, views: bool = False) -> Outcome:
+    """Turn the normals of a surface outward, and those of open surfaces up.
 
     Args:
-        surface: the points; normals are consistent in every patch.
-        patch: (N,) the patch of each point.
-        component: (N,) the component of each.
-        coupling: (M, M) how far patches agree.
+        surface: its normals are turned.
+        views: whether open surfaces are turned to where they were seen from, if they show that (`single_view`).
     """
-
-    def __init__(self, surface: Surface, patch: Ints, component: Ints, coupling: Any) -> None:
-        self._surface, self._patch, self._component, self._coupling = surface, patch, component, coupling
-        self._sizes = np.bincount(component)
-        self._outward, self._total, self._upward = np.zeros((3, len(patch)))
-
-    def decide(self) -> tuple[Floats, Bools]:
-        """Signs of the patches (M,) between -1 and 1, and which components (C,) are open."""
-        self._collect()
-        owner = self._component[np.unique(self._patch, return_index=True)[1]]
-        pure = np.bincount(owner, np.abs(np.bincount(self._patch, self._outward)), len(self._sizes))
-        is_open = pure < OPEN_PURITY * np.bincount(self._component, self._total)
-        belief = self._weigh(self._outward)
-        return np.where(is_open[owner], self._upright(), belief) if is_open.any() else belief, is_open
-
-    def _collect(self) -> None:
-        """Looks at the surface, then at what it hid, and so on."""
-        hidden = np.ones(len(self._sizes), dtype=bool)
-        for layer in range(MAX_LAYERS):
-            rows = np.flatnonzero(hidden[self._component])
-            if len(rows) == 0:
-                break
-            votes = look(self._surface, rows)
-            inside = self._inside(~hidden) if layer else np.zeros(len(hidden), dtype=bool)
-            side = np.where(inside[self._component[rows]], -1.0, 1.0)
-            self._outward[rows], self._total[rows], self._upward[rows] = side * votes.outward, votes.total, votes.upward
-            hidden = hidden & (np.bincount(self._component, self._total) < MIN_SEEN * FULL_VOTE * self._sizes)
-
-    def _inside(self, known: Bools) -> Bools:
-        """Which components (C,) lie inside of those that are known."""
-        surface, component = self._surface, self._component
-        belief = self._weigh(np.where(known[component], self._outward, 0))
-        areas = np.where(belief[self._patch] < 0, -1, 1) * known[component] * surface.spacing**2
-        field = DipoleField(surface.points, surface.normals * areas[:, None], _cells(surface))
-        return np.bincount(component, field.at(surface.points)) > 0.5 * self._sizes
-
-    def _weigh(self, votes: Floats) -> Floats:
-        """Signs of patches (M,) by the votes of points (N,), which count as much as the couplings if all agree."""
-        told = np.bincount(self._patch, votes).astype(np.float64)
-        strength, total = abs(self._coupling).sum() / 2, self._total.sum()
-        return relax(self._coupling, told * (strength / total) if strength > 0 and total > 0 else told)
-
-    def _upright(self) -> Floats:
-        """Signs of patches (M,) by what is seen from above, as `decide`.
-
-        A tree of the strongest links, of which the votes are one kind, stands all of a smooth sheet up by its clearest
-        part: a mean of all votes would fold it where it hangs over.
-        """
-        from scipy.sparse import bmat, csr_matrix
-
-        told = np.clip(np.bincount(self._patch, self._upward) / FULL_VOTE, -MAX_UPRIGHT, MAX_UPRIGHT)
-        votes = csr_matrix(told)
-        flips, _ = spread_signs(patch_forest(bmat([[self._coupling, votes.T], [votes, None]], format="csr")))
-        signs = np.where(flips[:-1] ^ flips[-1], -1.0, 1.0)
-        support = signs * (self._coupling @ signs + told)
-        total = np.asarray(abs(self._coupling).sum(axis=1)).ravel() + np.abs(told)
-        return signs * np.clip(support / np.where(total > 0, total, 1), 1e-3, 1)
+    flips, parts = divide(surface)
+    surface.turn(flips)
+    votes, is_open = _vote(surface, parts)
+    belief = _weigh(surface, votes, parts)
+    belief = np.where(_in_matter(surface, parts, belief, is_open)[parts.owner], -belief, belief)
+    view = None
+    if is_open.any():
+        view = as_seen(surface, parts, is_open[parts.component]) if views else None
+        view = view if view is not None and view.found else None
+        belief = np.where(is_open[parts.owner], _upright(votes, parts) if view is None else view.belief, belief)
+    return _finished(surface, parts, belief, is_open, view)
 
 
-def _refine(surface: Surface) -> Floats:
-    """Turns noisy points that the field of all points contradicts; returns how sure the field is (N,), 0 to 1."""
-    strength = np.ones(len(surface.points))
-    if not (surface.roughness > NOISY * surface.spacing).any():
-        return strength
-    cells = _cells(surface)
-    for _ in range(ROUNDS):
-        areas = strength * surface.spacing**2
-        field = DipoleField(surface.points, surface.normals * areas[:, None], cells)
-        fine = surface.spacing * MAX_CELL_SPACINGS > field.cell
-        noisy = np.flatnonzero(fine & (surface.roughness > NOISY * surface.spacing))
-        drop = field.drop(surface.points[noisy], surface.normals[noisy])
-        scale = np.median(np.abs(drop)) if len(noisy) else 0.0
-        strength[noisy] = np.clip(drop / scale, -1, 1) if scale > 0 else 1
-    surface.turn(strength < 0)
-    return np.abs(strength)
+def turn_up(surface: Surface) -> Outcome:
+    """Turn the normals of terrain up; its walls and trees look away from what is behind them."""
+    flips, parts = divide(surface)
+    surface.turn(flips)
+    votes = _sum(look(surface, parts.component, alone=True), parts)
+    outcome = _finished(surface, parts, _upright(votes, parts), ~parts.speck)
+    surface.turn(surface.normals[:, 2] < -LEVEL)
+    return outcome
 
 
-def _cells(surface: Surface) -> int:
-    """Cells along a field's side: as many as the spacing asks for, but not many more in all than there are points."""
-    from scipy.fft import next_fast_len
+def _finished(surface: Surface, parts: Parts, belief: Floats, is_open: Bools, view: View | None = None) -> Outcome:
+    """Turn patches by their signs (M,), then single points that are wrong in them."""
+    surface.turn((belief < 0)[parts.patch])
+    sure = revote(surface) * np.abs(belief)[parts.patch]
+    flips, strength = contradicted(surface, np.where(parts.speck, -1, np.arange(len(parts.speck)))[parts.component])
+    surface.turn(flips)
+    sure *= strength
+    open_points = is_open[parts.component]
+    _follow(surface, parts.speck[parts.component], sure, open_points)
+    return Outcome(sure, open_points, view)
 
-    extent = float(np.ptp(surface.points, axis=0).max())
-    wanted = MARGIN * extent / (CELL_SPACINGS * float(np.median(surface.spacing)))
-    most = min(MAX_CELLS, np.cbrt(CELLS_PER_POINT * len(surface.points)))
-    return int(next_fast_len(int(np.clip(wanted, MIN_CELLS, max(MIN_CELLS, most))), real=True))
+
+def _vote(surface: Surface, parts: Parts) -> tuple[Votes, Bools]:
+    """Look at each component alone and, where both its sides are seen, among the others.
+
+    Returns:
+        The votes of the patches (M,), and which components (C,) are open.
+    """
+    votes = _sum(look(surface, parts.component, alone=True), parts)
+    is_open = ~parts.speck & (_purity(votes, parts) < OPEN_PURITY)
+    if not is_open.any() or len(parts.speck) == 1:
+        return votes, is_open
+    # The sides of a box may be scanned apart: each is open alone, but together they hide their inner sides.
+    among = _sum(look(surface, parts.component, alone=False), parts)
+    seen = parts.by_component(among.total) >= MIN_SEEN * FULL_VOTE * parts.sizes
+    closed = is_open & seen & (_purity(among, parts) >= OPEN_PURITY)
+    mine = closed[parts.owner]
+    votes = Votes(np.where(mine, among.outward, votes.outward), np.where(mine, among.total, votes.total), votes.upward)
+    return votes, is_open & ~closed
+
+
+def _sum(votes: Votes, parts: Parts) -> Votes:
+    return Votes(parts.by_patch(votes.outward), parts.by_patch(votes.total), parts.by_patch(votes.upward))
+
+
+def _purity(votes: Votes, parts: Parts) -> Floats:
+    """How far the views that see a patch are on one side of it, by component (C,), 0 to 1."""
+    total = parts.by_component(votes.total)
+    return parts.by_component(np.abs(votes.outward)) / np.where(total > 0, total, 1)
+
+
+def _weigh(surface: Surface, votes: Votes, parts: Parts) -> Floats:
+    """Find signs of patches (M,), -1 to 1, by the couplings and the votes.
+
+    A patch with votes for both sides says little.
+    """
+    strength = np.asarray(abs(parts.coupling).sum(axis=1)).ravel()
+    total = parts.by_component(votes.total)
+    scale = parts.by_component(strength) / 2 / np.where(total > 0, total, 1)
+    scale[scale == 0] = 1
+    told = votes.outward * (np.abs(votes.outward) / np.where(votes.total > 0, votes.total, 1)) ** 2 * scale[parts.owner]
+    belief = relax(parts.coupling, SURE_WEIGHT * told)
+    signs = np.where(belief < 0, -1.0, 1.0)
+    denied = parts.by_component((strength - signs * (parts.coupling @ signs)) / 2)
+    drowned = parts.by_component(parts.by_patch(surface.roughness > DROWNED * surface.spacing))
+    doubtful = (denied > CONTRADICTION * parts.by_component(strength)) | (2 * drowned > parts.sizes)
+    return relax(parts.coupling, np.where(doubtful, DOUBTFUL_WEIGHT, SURE_WEIGHT)[parts.owner] * told)
+
+
+def _in_matter(surface: Surface, parts: Parts, belief: Floats, is_open: Bools) -> Bools:
+    """Which components (C,) are inside the matter of others: by the winding number of these, the largest first."""
+    flips = np.zeros(len(parts.speck), dtype=np.bool_)
+    candidates = np.flatnonzero(~(parts.speck | is_open))
+    if len(candidates) < 2:
+        return flips
+    order = np.argsort(parts.component, kind="stable")
+    starts = np.cumsum(parts.sizes) - parts.sizes
+    low = np.minimum.reduceat(surface.points[order], starts)
+    high = np.maximum.reduceat(surface.points[order], starts)
+    candidates = candidates[np.argsort(-np.linalg.norm(high - low, axis=1)[candidates], kind="stable")]
+    sign = np.where(belief < 0, -1, 1)[parts.patch]
+    for rank, c in enumerate(candidates):
+        larger = candidates[:rank]
+        around = larger[((low[larger] <= low[c]) & (high[larger] >= high[c])).all(axis=1)]
+        places = surface.points[_some(order, starts, parts.sizes, int(c), PLACES)]
+        winding = np.zeros(len(places))
+        for other in around:
+            rows = _some(order, starts, parts.sizes, int(other), SOURCES)
+            area = surface.spacing[rows] ** 2 * (parts.sizes[other] / len(rows))
+            moments = surface.normals[rows] * (area * sign[rows])[:, None]
+            winding += (-1 if flips[other] else 1) * solid_angles(places, surface.points[rows], moments, area / 4)
+        flips[c] = np.median(winding) > 0.5
+    return flips
+
+
+def _some(order: Ints, starts: Ints, sizes: Ints, component: int, count: int) -> Ints:
+    """Up to about `count` points of a component, evenly taken from the order."""
+    return order[starts[component] : starts[component] + sizes[component] : -(-int(sizes[component]) // count)]
+
+
+def _upright(votes: Votes, parts: Parts) -> Floats:
+    """Find signs of patches (M,), -1 to 1, by what is seen from above.
+
+    Links and votes for up form one spanning tree, so the clearest part of a sheet decides for all of it: a mean of all
+    votes would fold it where it hangs over.
+    """
+    from scipy.sparse import bmat, csr_matrix
+
+    told = np.clip(votes.upward / FULL_VOTE, -MAX_UPRIGHT, MAX_UPRIGHT)
+    coupling = parts.coupling
+    column = csr_matrix(told)
+    flips, _ = spread_signs(patch_forest(bmat([[coupling, column.T], [column, None]], format="csr")))
+    signs = np.where(flips[:-1] ^ flips[-1], -1.0, 1.0)
+    support = signs * (coupling @ signs + told)
+    total = np.asarray(abs(coupling).sum(axis=1)).ravel() + np.abs(told)
+    return signs * np.clip(support / np.where(total > 0, total, 1), 1e-3, 1)
+
+
+def _follow(surface: Surface, speck: Bools, sure: Floats, is_open: Bools) -> None:
+    """Give points of specks (N,) the sign, and what else is known, of the surface beside them."""
+    rows, known = np.flatnonzero(speck), np.flatnonzero(~speck)
+    if not len(rows) or not len(known):
+        return
+    near = known[NeighborIndex(surface.points[known]).query(surface.points[rows], min(4, len(known)))[0]]
+    cosine = np.einsum("nd,nkd->nk", surface.normals[rows], surface.normals[near])
+    agreement = (cosine * sure[near]).mean(axis=1)
+    flips = np.zeros(len(speck), dtype=np.bool_)
+    flips[rows] = agreement < 0
+    surface.turn(flips)
+    sure[rows], is_open[rows] = np.abs(agreement), is_open[near[:, 0]]

@@ -1,133 +1,230 @@
-"""What settles the signs of a cloud's normals: the user's options, what the file knows, and what to say about it."""
+"""The one entry to the signs: `settle` decides by what is known and by what the cloud shows, and says why.
+
+`auto` takes the first of these that applies:
+1. a viewpoint, attributes or a trajectory that the user gives;
+2. a file that knows its sensor (`sensors.file_sensors`);
+3. open surfaces that look as if a camera at the origin had taken them: towards the origin;
+4. a wide, flat, mostly level cloud is terrain (`terrain`): up;
+5. closed surfaces: outward;
+6. open surfaces of which the origin, named by a PCD file, sees one side throughout: towards the origin;
+7. open surfaces whose borders show from where an object was seen (`single_view`): towards that side;
+8. else the best guess, with a warning.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from jetnormal.cloud import Cloud
-from jetnormal.errors import InputError, UsageError
-from jetnormal.orientation.methods import Method, Orientation, default_method
+from jetnormal.cloud import Cloud, Source
+from jetnormal.errors import ShapeError, UsageError
+from jetnormal.geometry.scale import unit_scale
+from jetnormal.orientation.methods import Method, Orientation, choose_signs
+from jetnormal.orientation.sensors import SensorOptions, Sensors, file_sensors, told_sensors
+
+Floats = NDArray[np.float64]
 
 ONE_SIDE = 0.97  # of the open points: a surface that a sensor saw shows it one side
+FARTHEST = 1e150  # of a sensor, in units of the cloud's size: squares must be finite
 OPEN_SHARE = 0.05  # of the points; below it, they are specks beside a closed surface
 
 
-class SignOptions(Protocol):
-    """The options that say how signs are chosen (`jobs.options.NormalOptions`), which contradict no other."""
+class SignOptions(SensorOptions, Protocol):
+    """The options that say how signs are chosen (`jobs.options.NormalOptions`)."""
 
     @property
     def orient(self) -> str: ...
-    @property
-    def viewpoint(self) -> tuple[float, float, float] | None: ...
-    @property
-    def viewpoint_attribute(self) -> tuple[str, str, str] | None: ...
 
 
-def sign_method(options: SignOptions, cloud: Cloud) -> tuple[Method, NDArray[np.float64] | None]:
-    """The method that settles the signs and, for "viewpoint", where from: (3,), or one for each point (N, 3).
+@dataclass(frozen=True)
+class SignChoice:
+    """The options of `orient`, as those of `jetnormal.estimate`."""
+
+    orient: str = "auto"
+    viewpoint: tuple[float, float, float] | None = None
+    viewpoint_attribute: tuple[str, str, str] | None = None
+    trajectory: str | None = None
+    time_attribute: str = "gps_time"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """How the signs were settled.
+
+    Attributes:
+        asked: the option `orient`.
+        used: the method: "viewpoint", "terrain", "global", "origin", "view", "mst", "up" or "none".
+        reason: why that one.
+        open_share: of the points that lie on surfaces without an outside.
+        confidence: mean of the signs' confidence.
+        guessed: whether nothing told which side of open surfaces was seen.
+        unseen: points without a finite viewpoint; their normals look up.
+    """
+
+    asked: str
+    used: str
+    reason: str
+    open_share: float = 0.0
+    confidence: float = 0.0
+    guessed: bool = field(default=False, repr=False)
+    unseen: int = field(default=0, repr=False)
+
+    def facts(self) -> dict[str, Any]:
+        """What a summary in JSON says."""
+        values = asdict(self)
+        return {name: values[name] for name in ("asked", "used", "reason", "open_share", "confidence")}
+
+    def warnings(self) -> list[str]:
+        """What a user should know."""
+        found = []
+        if self.guessed:
+            found.append(
+                f"{self.open_share:.0%} of the points lie on open surfaces, which have no outside, and nothing tells "
+                "which side was seen: their normals may all look the wrong way; `viewpoint` or `orient` settles it"
+            )
+        if self.unseen:
+            found.append(f"{self.unseen} points have no finite viewpoint; their normals look up")
+        return found
+
+
+def find_sensors(options: SignOptions, cloud: Cloud) -> Sensors | None:
+    """Find what is known of the sensor; None if nothing is, or it is not asked for.
 
     Raises:
-        InputError: the cloud lacks an attribute that is to tell the viewpoints.
+        InputError: the cloud lacks what is to tell the viewpoints.
         UsageError: a viewpoint is needed, and nothing tells it.
     """
-    if options.viewpoint_attribute is not None:
-        return "viewpoint", _viewpoints(options.viewpoint_attribute, cloud)
-    if options.viewpoint is not None:
-        return "viewpoint", np.asarray(options.viewpoint, dtype=np.float64)
-    sensors = cloud.source.sensors
-    if sensors is not None and options.orient in ("auto", "viewpoint"):
-        return "viewpoint", sensors
+    told = told_sensors(options, cloud)
+    if told is not None or options.orient not in ("auto", "viewpoint"):
+        return told
+    found = file_sensors(cloud)
+    if found is not None or options.orient == "auto":
+        return found
     known = cloud.source.viewpoint
-    method: Any = default_method(known) if options.orient == "auto" else options.orient
-    if method != "viewpoint":
-        return method, None
     if known is None or not np.isfinite(known[:3]).all():
         raise UsageError("`orient=viewpoint` needs `viewpoint`: the file does not tell one")
-    return method, np.asarray(known[:3], dtype=np.float64)
+    return Sensors(np.asarray(known[:3], dtype=np.float64), "the file tells its viewpoint")
 
 
-def seen_from_origin(
-    orientation: Orientation, points: NDArray[np.float64], options: SignOptions, cloud: Cloud
-) -> Orientation | None:
-    """Open surfaces turned towards the origin, if it is plausible that a sensor stood there.
-
-    The origin is where a depth camera stands in its own frame, and it is the VIEWPOINT that writers of PCD files put
-    where they know none. Where nothing better is known, such a VIEWPOINT is believed if consistent signs show it one
-    side of the surfaces, and any file's origin if the surfaces look as if a camera had taken them from there.
+def settle(
+    points: Floats, normals: NDArray[Any], asked: str, sensors: Sensors | None, source: Source
+) -> tuple[Orientation, Decision]:
+    """Settle the signs of normals.
 
     Args:
-        orientation: of the points, by "global".
-        points: (N, 3).
-        options: of the user.
-        cloud: that the points come from.
+        points: (N, 3), finite.
+        normals: (N, 3) of any sign.
+        asked: the option `orient`.
+        sensors: of these points (`find_sensors`).
+        source: what their file says of itself.
+    """
+    points, exponent = unit_scale(points)
+    if sensors is not None:
+        places = np.clip(np.ldexp(sensors.places, exponent), -FARTHEST, FARTHEST)
+        orientation = choose_signs(points, normals, "viewpoint", viewpoint=places)
+        unseen = 0 if places.ndim == 1 else int((~np.isfinite(places).all(axis=1)).sum())
+        return orientation, replace(_decision(orientation, asked, "viewpoint", sensors.reason), unseen=unseen)
+    if asked == "auto":
+        return _by_evidence(points, normals, source)
+    orientation = choose_signs(points, normals, asked)  # type: ignore[arg-type]
+    return orientation, _decision(orientation, asked, asked, "it was asked for")
+
+
+def orient(
+    points: NDArray[Any] | Cloud,
+    normals: NDArray[Any] | None = None,
+    method: Method | str = "auto",
+    *,
+    viewpoint: ArrayLike | None = None,
+    viewpoint_attribute: tuple[str, str, str] | None = None,
+) -> NDArray[Any]:
+    """Give normals consistent signs, by the decisions of `jetnormal.estimate`; their directions stay the same bits.
+
+    Args:
+        points: (N, 3) coordinates, or a cloud, whose file may know its sensor.
+        normals: (N, 3) directions of any length and sign; None takes the cloud's.
+        method: "auto" (`settle`), or one of `orientation.methods.choose_signs`.
+        viewpoint: the sensor's (x, y, z), or one for each point, (N, 3).
+        viewpoint_attribute: names of a cloud's attributes that hold the sensor's position for each point.
 
     Returns:
-        The orientation with these signs; None where they do not apply.
+        (N, 3) new array of the normals' dtype. Rows without a finite point and a direction stay as they are.
+
+    Raises:
+        ShapeError: points and normals do not match, or there are no normals.
+        InputError, UsageError: as `find_sensors`.
     """
+    cloud = points if isinstance(points, Cloud) else Cloud(np.asarray(points, dtype=np.float64))
+    given = cloud.normals if normals is None else np.asarray(normals)
+    if given is None or given.shape != cloud.points.shape:
+        raise ShapeError(f"{len(cloud)} points need normals of the same shape, (N, 3)")
+    place = None if viewpoint is None else np.asarray(viewpoint, dtype=np.float64)
+    if place is not None and place.ndim == 2:
+        cloud = replace(cloud, source=replace(cloud.source, sensors=place))
+    single = None if place is None or place.ndim == 2 else (float(place[0]), float(place[1]), float(place[2]))
+    options = SignChoice(str(method), single, viewpoint_attribute)
+    sensors = find_sensors(options, cloud)
+    rows = np.flatnonzero(cloud.valid)
+    known = None if sensors is None else sensors.of(rows)
+    result = given.copy()
+    result[rows] = settle(cloud.points[rows], given[rows], options.orient, known, cloud.source)[0].normals
+    return result
+
+
+def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple[Orientation, Decision]:
+    """Decide by the shape of the cloud alone."""
+    from jetnormal.orientation.terrain import is_terrain
     from jetnormal.orientation.visibility import taken_from_origin
 
-    known, is_open = cloud.source.viewpoint, orientation.open
-    elsewhere = known is not None and any(known[:3])
-    if elsewhere or options.orient != "auto" or is_open.mean() <= OPEN_SHARE:
-        return None
-    facing = np.einsum("nd,nd->n", orientation.normals, -points) > 0
-    share = float(facing[is_open].mean())
-    stated = known is not None and max(share, 1 - share) >= ONE_SIDE
-    if not stated and not taken_from_origin(points):
-        return None
-    normals = np.where((is_open & ~facing)[:, None], -orientation.normals, orientation.normals)
-    return replace(orientation, normals=normals)
+    orientation = choose_signs(points, normals, "view")
+    is_open, view = orientation.open, orientation.view
+    mostly_open = bool(len(is_open)) and float(is_open.mean()) > OPEN_SHARE
+    if mostly_open and taken_from_origin(points):
+        orientation = _towards_origin(points, orientation)
+        reason = "its surfaces look as if a camera at the origin had taken them"
+        return orientation, _decision(orientation, "auto", "origin", reason)
+    seen = mostly_open and view is not None and view.certain
+    if not seen and is_terrain(points, _unit(normals)):
+        orientation = choose_signs(points, normals, "terrain")
+        return orientation, _decision(orientation, "auto", "terrain", "the cloud is wide, flat and mostly level")
+    if not mostly_open:
+        return orientation, _decision(orientation, "auto", "global", "its surfaces are closed")
+    if source.viewpoint is not None and _one_sided(points, orientation):
+        orientation = _towards_origin(points, orientation)
+        reason = "the file names the origin, which sees one side of its surfaces throughout"
+        return orientation, _decision(orientation, "auto", "origin", reason)
+    share = f"{is_open.mean():.0%} of the points lie on open surfaces"
+    if seen:
+        return orientation, _decision(orientation, "auto", "view", f"{share}, whose borders lean away from there")
+    used, reason = ("global", "up where open") if view is None else ("view", "whose borders lean a little away from it")
+    decision = _decision(orientation, "auto", used, f"a guess: {share}, {reason}")
+    return orientation, replace(decision, guessed=True)
 
 
-def sign_reason(options: SignOptions, cloud: Cloud, method: Method, from_origin: bool) -> str:
-    """Say in one line why a method chose the signs.
-
-    Args:
-        options: of the user.
-        cloud: whose normals they are.
-        method: what `sign_method` took.
-        from_origin: whether `seen_from_origin` applies.
-    """
-    if options.viewpoint_attribute is not None:
-        return f"the attributes {', '.join(options.viewpoint_attribute)} tell where each point was seen from"
-    if options.viewpoint is not None:
-        return "a viewpoint was given"
-    if method == "viewpoint":
-        what = "where each point was seen from" if cloud.source.sensors is not None else "where its sensor stood"
-        return f"the file tells {what}"
-    if options.orient != "auto":
-        return "it was asked for"
-    if from_origin:
-        return "no viewpoint is known; open surfaces look to the origin, where a sensor seems to have stood"
-    return "no viewpoint is known: outward"
+def _one_sided(points: Floats, orientation: Orientation) -> bool:
+    """Whether consistent signs show the origin one side of the open surfaces, as they would a sensor."""
+    facing = np.einsum("nd,nd->n", orientation.normals, points)[orientation.open] < 0
+    return bool(max(facing.mean(), 1 - facing.mean()) >= ONE_SIDE)
 
 
-def sign_warnings(orientation: Orientation, viewpoint: NDArray[np.float64] | None, from_origin: bool) -> list[str]:
-    """What a user should know about the signs."""
-    warnings = []
-    share = float(orientation.open.mean()) if len(orientation.open) else 0.0
-    if share > OPEN_SHARE:
-        side = "towards the origin, where their sensor seems to have stood" if from_origin else "up"
-        warnings.append(
-            f"{share:.0%} of the points lie on open surfaces, which have no outside: their normals look {side}; "
-            "`viewpoint` tells which side was seen"
-        )
-    unseen = 0 if viewpoint is None or viewpoint.ndim == 1 else int((~np.isfinite(viewpoint).all(axis=1)).sum())
-    if unseen:
-        warnings.append(f"{unseen} points have no finite viewpoint; their normals look up")
-    return warnings
+def _towards_origin(points: Floats, orientation: Orientation) -> Orientation:
+    """Turn open surfaces towards the origin, where a depth camera stands in its own frame."""
+    away = orientation.open & (np.einsum("nd,nd->n", orientation.normals, points) > 0)
+    return replace(orientation, normals=np.where(away[:, None], -orientation.normals, orientation.normals))
 
 
-def _viewpoints(names: tuple[str, str, str], cloud: Cloud) -> NDArray[np.float64]:
-    for name in names:
-        if name not in cloud.attributes:
-            there = ", ".join(cloud.attributes) or "none"
-            raise InputError(f"there is no attribute {name!r} to tell the viewpoints; the cloud has: {there}")
-        values = cloud.attributes[name]
-        if values.ndim != 1 or not np.issubdtype(values.dtype, np.number):
-            raise InputError(f"attribute {name!r} cannot tell viewpoints: it is not one number per point")
-    return np.stack([cloud.attributes[name].astype(np.float64) for name in names], axis=1)
+def _decision(orientation: Orientation, asked: str, used: str, reason: str) -> Decision:
+    count = max(1, len(orientation.open))
+    share, confidence = float(orientation.open.sum() / count), float(orientation.confidence.sum() / count)
+    return Decision(asked, used, reason, round(share, 4), round(confidence, 4))
+
+
+def _unit(normals: NDArray[Any]) -> Floats:
+    """Unit vectors (N, 3); 0 where there is no direction."""
+    with np.errstate(invalid="ignore"):
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+    usable = np.isfinite(length) & (length > 0)
+    return np.divide(normals, length, out=np.zeros(normals.shape), where=usable)

@@ -1,4 +1,9 @@
-"""Second thoughts about a spanning forest of signs: all couplings, not the forest's alone, judge its branches."""
+"""The method "mst": signs that are consistent along a spanning tree, corrected by all that the tree leaves out.
+
+Hoppe et al., "Surface reconstruction from unorganized points" (1992), with patches of points for points: what joins two
+patches is the sum of all edges between them, which one wrong edge cannot turn over. Then branches turn that contradict
+the rest, and each component looks outward at its extreme points.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.orientation.agreement import Forest, rooted
+from jetnormal.orientation.agreement import Forest, Surface, patch_forest, revote, rooted, spread_signs
+from jetnormal.orientation.parts import divide
+from jetnormal.orientation.single_view import Outcome
+from jetnormal.orientation.visibility import extremes_look_inward
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 MENDED = 64  # branches at most
+OUTLIER_RADIUS = 5.0  # neighborhood radius, over the median of all
+
+
+def grow_tree(surface: Surface) -> Outcome:
+    """Turn normals consistently along a spanning tree of patches; nothing is known to be open."""
+    flips, parts = divide(surface)
+    surface.turn(flips)
+    forest = patch_forest(parts.coupling)
+    flips, tree = spread_signs(forest)
+    surface.turn(mend(forest, parts.coupling, flips)[parts.patch])
+    sure = revote(surface)
+    component = tree[parts.patch]
+    stray = surface.radius > OUTLIER_RADIUS * np.median(surface.radius)
+    crowd = np.bincount(component, ~stray)
+    stray &= crowd[component] > 0
+    surface.turn(extremes_look_inward(surface, component, stray)[component])
+    return Outcome(sure, np.zeros(len(sure), dtype=np.bool_))
 
 
 def mend(forest: Forest, coupling: Any, flips: Bools) -> Bools:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.orientation.agreement import Surface
+from jetnormal.orientation.kernels import see
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -20,10 +21,11 @@ Bools = NDArray[np.bool_]
 
 VIEWS = 48
 PIXEL_SPACINGS = 2.5  # side of a pixel: it holds six points on average, so that few let the eye through
-DEPTH_SPACINGS = 0.75  # a point this far below the topmost one of its pixel is still seen
+SLACK = 0.3  # of a pixel's side: a point this far below the topmost one of its pixel is still seen
 MIN_COSINE = 0.3  # a look along the surface tells nothing
-MAX_OCTAVES = 6  # of the spacing, above its median
-MAX_PIXELS = 2048  # along a side of a picture
+MAX_OCTAVES = 6  # of the spacing, above the median of an object; what is sparser hides nothing
+LEVEL_SHARE = 0.01  # of an object's points have a level of their own; fewer are strays, which hide nothing
+FARTHEST = 2.0**40  # pixels; what is farther away is drawn there
 EXTREME_SHARE = 0.01  # of a component's points vote, in each direction
 MIN_PURITY = 0.2  # votes for outward and inward that nearly cancel mean that there is no outside
 FIELD_OF_VIEW = 0.8  # of a depth camera: the tangent of half its angle is smaller
@@ -49,33 +51,76 @@ class Votes:
     upward: Floats
 
 
-def look(surface: Surface, rows: Ints) -> Votes:
-    """Looks at some points (R,) of a surface, as if there were no others, from all around.
+def look(surface: Surface, component: Ints, *, alone: bool) -> Votes:
+    """Look at all points of a surface from all around.
 
-    Sparse points cover pictures with large pixels, dense ones pictures with small pixels; all pictures hide.
+    Pixels are as large as points are apart: sparse parts are drawn into pictures with large pixels, dense parts into
+    pictures with small ones, and all pictures hide. Distances between objects do not matter.
+
+    Args:
+        surface: N points.
+        component: (N,) the component of each.
+        alone: whether a component is looked at as if there were no others, or all hide each other.
     """
-    points, normals = surface.points[rows], surface.normals[rows]
-    sizes = _sizes(points, surface.spacing[rows])
-    pictures = [(size, np.flatnonzero(sizes == size)) for size in np.unique(sizes)]
-    outward, total, upward = np.zeros((3, len(rows)))
+    unit, level = _levels(surface, component)
+    label = component if alone else np.zeros_like(component)
+    hides, lowest, highest = _pictures(level, label)
+    level -= lowest.min()
+    unit *= 2.0 ** float(lowest.min())
+    lowest, highest = lowest - lowest.min(), highest - lowest.min()
+    size = 1 << int(2 * max(1, hides.sum()) - 1).bit_length()
+    key, top, bottom = np.zeros(size, dtype=np.uint64), np.empty(size), np.empty(size)
+    votes = np.zeros((len(level), 3))
+    limit = FARTHEST * unit * PIXEL_SPACINGS
+    points = np.clip(surface.points, -limit, limit)
     for up in directions()[: VIEWS // 2]:
-        across, depth = _project(points, up)
-        cosine = _along(normals, up)
-        above = below = np.abs(cosine) > MIN_COSINE
-        for size, own in pictures:
-            row, column = (across / (PIXEL_SPACINGS * size)).astype(np.int64)
-            pixel = row * (column.max() + 1) + column
-            top = np.full(pixel.max() + 1, -np.inf)
-            bottom = -top
-            np.maximum.at(top, pixel[own], depth[own])
-            np.minimum.at(bottom, pixel[own], depth[own])
-            slack = np.maximum(DEPTH_SPACINGS * size, surface.roughness[rows])
-            above = above & (depth >= top[pixel] - slack)
-            below = below & (depth <= bottom[pixel] + slack)
-        outward += cosine * above - cosine * below
-        total += np.abs(cosine) * above + np.abs(cosine) * below
-        upward += cosine * above
-    return Votes(outward, total, upward)
+        see(
+            points, surface.normals, _axes(up), PIXEL_SPACINGS * unit, MIN_COSINE, surface.roughness, SLACK,
+            level, hides, label, lowest, highest, key, top, bottom, votes,
+        )  # fmt: skip
+    return Votes(*votes.T)
+
+
+def _levels(surface: Surface, component: Ints) -> tuple[float, Ints]:
+    """Find a spacing and, for each point (N,), how many times it is to be doubled for the point's pixels.
+
+    That is the median spacing of the point's component, or more by up to MAX_OCTAVES where the component is sparser.
+    """
+    spacing = surface.spacing
+    order = np.lexsort((spacing, component))
+    sizes = np.bincount(component)
+    starts = np.cumsum(sizes) - sizes
+    typical = spacing[order][starts + sizes // 2]
+    unit = float(np.median(spacing))
+    if unit <= 0:  # a single point
+        return 1.0, np.zeros(len(spacing), dtype=np.int64)
+    base = np.round(np.log2(np.maximum(typical, 1e-300) / unit)).astype(np.int64)
+    octave = np.ceil(np.log2(np.maximum(spacing / (unit * 2.0 ** base[component]), 1) - 1e-9))
+    return unit, base[component] + np.minimum(octave, MAX_OCTAVES + 1).astype(np.int64)
+
+
+def _pictures(level: Ints, label: Ints) -> tuple[Bools, Ints, Ints]:
+    """Which points (N,) hide others, and the lowest and highest level (L,) of those with each label.
+
+    Levels that few points of a label have are those of strays.
+    """
+    count = int(label.max()) + 1
+    low = int(level.min())
+    width = int(level.max()) - low + 1
+    place = label * width + level - low
+    filled = np.bincount(place, minlength=count * width)
+    sizes = np.bincount(label, minlength=count)
+    usual = filled.reshape(count, width) >= np.maximum(LEVEL_SHARE * sizes, 1)[:, None]
+    lowest = low + usual.argmax(axis=1)
+    highest = low + width - 1 - usual[:, ::-1].argmax(axis=1)
+    return usual.ravel()[place], lowest, highest
+
+
+def _axes(direction: Floats) -> Floats:
+    """Two unit vectors across a direction, and itself (3, 3)."""
+    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(direction, side), direction])
 
 
 def extremes_look_inward(surface: Surface, component: Ints, stray: Bools) -> Bools:
@@ -161,22 +206,6 @@ def directions() -> Floats:
     ring = np.sqrt(1 - z * z)
     upper = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
     return np.concatenate([upper, -upper])
-
-
-def _sizes(points: Floats, spacing: Floats) -> Floats:
-    """The spacing (N,) that each point's pixels are made for: the median, or more by a power of two."""
-    unit = max(float(np.median(spacing)), float(np.ptp(points, axis=0).max()) / (PIXEL_SPACINGS * MAX_PIXELS))
-    if unit == 0:  # a single point
-        return np.ones(len(points))
-    return unit * 2.0 ** np.clip(np.ceil(np.log2(np.maximum(spacing / unit, 1))), 0, MAX_OCTAVES)
-
-
-def _project(points: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Coordinates of points across a direction (2, N), from 0 on, and along it (N,)."""
-    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    side /= np.linalg.norm(side)
-    across = np.stack([_along(points, side), _along(points, np.cross(direction, side))])
-    return across - across.min(axis=1, keepdims=True), _along(points, direction)
 
 
 def _along(vectors: Floats, direction: Floats) -> Floats:

@@ -170,7 +170,7 @@ def test_normals_face_the_scanner_of_their_scan(tmp_path):
     options = EstimateOptions(model="pca", k=8)
     summary = estimate_file(tmp_path / "wall.e57", tmp_path / "out.e57", options)
     result = formats.read(tmp_path / "out.e57")
-    assert summary["orient"] == "viewpoint"
+    assert summary["orient"]["used"] == "viewpoint"
     facing = np.einsum("nd,nd->n", result.normals, result.source.sensors - result.points)
     assert (facing > 0).mean() >= 0.999
 

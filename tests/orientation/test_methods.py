@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jetnormal.geometry.metrics import oriented_accuracy
-from jetnormal.orientation.methods import choose_signs, default_method, orient
+from jetnormal.orientation.methods import choose_signs, orient
 
 N = 5000
 
@@ -219,22 +219,9 @@ def test_none_returns_a_copy():
 
 def test_unusable_arguments_are_refused():
     points = np.eye(3)
-    with pytest.raises(ValueError, match="global, mst, viewpoint, up, none"):
+    with pytest.raises(ValueError, match="global, view, mst, viewpoint, up, terrain, none"):
         orient(points, points, "down")
     with pytest.raises(ValueError, match="viewpoint"):
         orient(points, points, "viewpoint")
     with pytest.raises(ValueError, match="must both be"):
         orient(points, points[:2])
-
-
-@pytest.mark.parametrize(
-    ("source_viewpoint", "method"),
-    [
-        (None, "global"),
-        ((0, 0, 0, 1, 0, 0, 0), "global"),
-        ((np.nan, 1, 0, 1, 0, 0, 0), "global"),
-        ((0, 0, 1.7, 1, 0, 0, 0), "viewpoint"),
-    ],
-)
-def test_a_known_scanner_position_chooses_the_method(source_viewpoint, method):
-    assert default_method(source_viewpoint) == method

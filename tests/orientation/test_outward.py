@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from jetnormal.geometry.metrics import oriented_accuracy
 from jetnormal.orientation.methods import choose_signs, orient
@@ -188,6 +189,7 @@ def test_confidence_is_lower_where_the_sign_is_wrong():
 
 CHILD = """
 import numpy as np
+import pytest
 from jetnormal.orientation.methods import choose_signs
 normals = np.random.default_rng(0).normal(size=(30_000, 3))
 normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -210,3 +212,53 @@ def test_the_number_of_threads_does_not_matter():
         for threads in ("1", "3")
     }
     assert len(digests) == 1 and len(digests.pop().strip()) == hashlib.sha256().digest_size * 2
+
+
+@pytest.mark.parametrize("method", ["global", "mst"])
+@pytest.mark.parametrize("distance", [1.5, 30.0, 1e5, 2e6])
+def test_stray_points_change_nothing_wherever_they_are(method, distance):
+    rng = np.random.default_rng(9)
+    points, normals = sphere(rng, 2000)
+    away, directions = sphere(rng, 20, distance)
+    for strays in (away[:1], away, away * rng.uniform(0.5, 1, (20, 1))):
+        count = len(strays)
+        both = np.concatenate([points, strays]), scrambled(np.concatenate([normals, directions[:count]]))
+        result = choose_signs(*both, method)
+        assert oriented_accuracy(result.normals[:2000], normals)[0] == 1
+        assert not result.open[:2000].any() and result.confidence[:2000].mean() > 0.95
+
+
+@pytest.mark.parametrize("distance", [2.5, 100.0, 1e6])
+def test_objects_have_the_signs_that_each_has_alone(distance):
+    rng = np.random.default_rng(10)
+    places = distance * np.stack(np.meshgrid(range(5), range(3), range(2)), axis=-1).reshape(-1, 3)
+    parts = [sphere(rng, 300, 10.0 ** rng.uniform(-1, 0), place) for place in places]
+    assert outward_share(*joined(parts)) == 1
+
+
+def test_a_surface_in_pieces_is_one_object():
+    rng = np.random.default_rng(11)
+    faces = [(axis, side) for axis in range(3) for side in (-1, 1)]
+    parts = []
+    for axis, side in faces:  # six squares that do not touch: each alone is open
+        points = rng.uniform(-0.8, 0.8, (900, 3))
+        points[:, axis] = side
+        parts.append((points, np.tile(side * np.eye(3)[axis], (900, 1))))
+    points, normals = joined(parts)
+    result = choose_signs(points, scrambled(normals))
+    assert oriented_accuracy(result.normals, normals)[0] == 1 and not result.open.any()
+
+
+def test_where_half_the_outside_is_missing_the_edge_between_both_sides_decides():
+    """Most of a cup's inside is seen from outside, where the wall in front of it is missing."""
+    rng = np.random.default_rng(12)
+    angle, height = rng.uniform(0, 2 * np.pi, 20_000), rng.uniform(-1, 1, 20_000)
+    spoke = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+    outer = rng.uniform(size=len(angle)) < 0.5
+    points = spoke * np.where(outer, 1.0, 0.9)[:, None] + height[:, None] * [0, 0, 1]
+    normals = np.where(outer[:, None], spoke, -spoke)
+    seen = ~outer | (np.abs(angle - np.pi) < 0.5 * np.pi)
+    rim = ring(rng, 6000, 0.95, 0.05)
+    upper = rim[1][:, 2] > 0
+    points, normals = joined([(points[seen], normals[seen]), (rim[0][upper] + [0, 0, 1], rim[1][upper])])
+    assert outward_share(points, normals) > 0.995

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from shapes import sphere
@@ -11,10 +9,13 @@ from shapes import sphere
 from jetnormal import Cloud, estimate, formats
 from jetnormal.cloud import Source
 from jetnormal.errors import InputError, UsageError
+from jetnormal.geometry.metrics import oriented_accuracy
 from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.options import EstimateOptions
-from jetnormal.orientation.methods import Orientation
-from jetnormal.orientation.policy import seen_from_origin, sign_method
+from jetnormal.orientation.policy import find_sensors, orient, settle
+from jetnormal.orientation.terrain import is_terrain
+
+ORIGIN, ELSEWHERE = (0, 0, 0, 1, 0, 0, 0), (1, 2, 3, 1, 0, 0, 0)
 
 
 def stations(points):
@@ -25,21 +26,27 @@ def stations(points):
 
 
 @pytest.mark.parametrize(
-    ("options", "file_viewpoint", "method", "viewpoint"),
+    ("options", "source", "viewpoint"),
     [
-        ({}, None, "global", None),
-        ({}, (0, 0, 0, 1, 0, 0, 0), "global", None),
-        ({}, (1, 2, 3, 1, 0, 0, 0), "viewpoint", [1, 2, 3]),
-        ({"viewpoint": (4.0, 5.0, 6.0)}, (1, 2, 3, 1, 0, 0, 0), "viewpoint", [4, 5, 6]),
-        ({"orient": "viewpoint"}, (0, 0, 0, 1, 0, 0, 0), "viewpoint", [0, 0, 0]),
-        ({"orient": "mst"}, (1, 2, 3, 1, 0, 0, 0), "mst", None),
+        ({}, {}, None),
+        ({}, {"viewpoint": ORIGIN}, None),
+        ({}, {"viewpoint": ORIGIN, "format": "pcd", "width": 30, "height": 20}, [0, 0, 0]),
+        ({}, {"viewpoint": (np.nan, 1, 0, 1, 0, 0, 0)}, None),
+        ({}, {"viewpoint": ELSEWHERE}, [1, 2, 3]),
+        ({"viewpoint": (4.0, 5.0, 6.0)}, {"viewpoint": ELSEWHERE}, [4, 5, 6]),
+        ({"orient": "viewpoint"}, {"viewpoint": ORIGIN}, [0, 0, 0]),
+        ({"orient": "mst"}, {"viewpoint": ELSEWHERE}, None),
     ],
 )
-def test_what_is_given_goes_before_what_the_file_says(options, file_viewpoint, method, viewpoint):
-    cloud = Cloud(sphere(600), source=Source(viewpoint=file_viewpoint))
-    found, place = sign_method(EstimateOptions(**options), cloud)
-    assert found == method
-    assert (place is None) == (viewpoint is None) and (place is None or place.tolist() == viewpoint)
+def test_what_is_given_goes_before_what_the_file_says(options, source, viewpoint):
+    found = find_sensors(EstimateOptions(**options), Cloud(sphere(600), source=Source(**source)))
+    assert (found is None) == (viewpoint is None) and (found is None or found.places.tolist() == viewpoint)
+
+
+def test_a_file_may_know_a_sensor_of_each_point():
+    points = sphere(600)
+    cloud = Cloud(points, source=Source(format="e57", sensors=3 * points))
+    assert ((orient(cloud, -points) * points).sum(axis=1) > 0.99).all()
 
 
 def test_attributes_tell_each_point_its_viewpoint(tmp_path):
@@ -53,24 +60,11 @@ def test_attributes_tell_each_point_its_viewpoint(tmp_path):
     result = formats.read(tmp_path / "out.ply")
     known = np.isfinite(result.attributes["sx"])
     cosine = (result.normals * points).sum(axis=1)
-    assert summary["orient"] == "viewpoint" and (cosine[known] > 0.9).all()
+    assert summary["orient"]["used"] == "viewpoint" and (cosine[known] > 0.9).all()
     unknown = ~known & np.isfinite(points[:, 0])
     assert (result.normals[unknown, 2] >= 0).all()
     np.testing.assert_allclose(result.attributes["sign_confidence"][known], cosine[known], atol=1e-3)
     assert any(f"{unknown.sum()} points have no finite viewpoint" in text for text in summary["warnings"])
-
-
-def test_an_open_surface_is_warned_of(tmp_path):
-    points = sphere(2000)
-    formats.write(Cloud(points[points[:, 2] > 0]), tmp_path / "dome.xyz")
-    formats.write(Cloud(points), tmp_path / "ball.xyz")
-    for name, is_open in (("dome", True), ("ball", False)):
-        options = EstimateOptions(model="pca")
-        summary = estimate_file(tmp_path / f"{name}.xyz", tmp_path / f"{name}.ply", options)
-        assert any("open surfaces" in text for text in summary["warnings"]) == is_open
-        assert (formats.read(tmp_path / f"{name}.ply").normals * formats.read(tmp_path / f"{name}.xyz").points).sum(
-            axis=1
-        ).min() > 0.5
 
 
 @pytest.mark.parametrize(
@@ -89,56 +83,122 @@ def test_options_that_name_no_viewpoint_are_refused(options, error):
         estimate(Cloud(points, attributes=stations(points)), model="pca", **options)
 
 
-def sheet(tilt: float = 0.0) -> tuple[np.ndarray, Orientation]:
-    """Points one unit in front of the origin, on an open surface whose normals look away from it."""
-    xy = np.random.default_rng(0).random((200, 2)) - 0.5
-    points = np.column_stack([xy, np.ones(200)])
-    normals = np.tile([0.0, 0.0, 1.0], (200, 1))
-    normals[: round(200 * tilt)] *= -1
-    return points, Orientation(normals, np.ones(200, dtype=np.float32), np.ones(200, dtype=bool))
+def terrain(rng, count=20_000):
+    """Hills with houses and trees, seen from above; True for the points of the ground."""
+    points = rng.uniform(0, 10, (count, 3))
+    x, y, _ = points.T
+    ground = np.sin(x) * np.cos(y) / 2
+    points[:, 2] = ground
+    normals = np.column_stack([-np.cos(x) * np.cos(y) / 2, np.sin(x) * np.sin(y) / 2, np.ones(count)])
+    is_ground = np.ones(count, dtype=bool)
+    for low in ((2, 3), (6, 6), (7, 1.5)):
+        roof = ((points[:, :2] > low) & (points[:, :2] < np.add(low, (1.2, 0.8)))).all(axis=1)
+        points[roof, 2], normals[roof], is_ground[roof] = 1.5, (0, 0, 1), False
+    crowns = rng.normal(size=(3000, 3))
+    crowns /= np.linalg.norm(crowns, axis=1, keepdims=True)
+    crowns = crowns[crowns[:, 2] > -0.3]
+    trunks = np.array([[1, 8, 1.3], [4.5, 5, 1.3], [8.5, 8.5, 1.3], [5, 1, 1.3]])
+    tops = trunks[rng.integers(4, size=len(crowns))] + 0.5 * crowns
+    points, normals = np.concatenate([points, tops]), np.concatenate([normals, crowns])
+    is_ground = np.append(is_ground, np.zeros(len(tops), dtype=bool))
+    return points + rng.normal(scale=0.02, size=points.shape), normals, is_ground
 
 
-def pcd(points: np.ndarray, *position: float) -> Cloud:
-    return Cloud(points, source=Source(viewpoint=(*position, 1.0, 0.0, 0.0, 0.0)))
+@pytest.mark.parametrize("offset", [0.0, 5e5])
+def test_terrain_looks_up_without_a_word(offset):
+    points, normals, is_ground = terrain(np.random.default_rng(3))
+    signs = np.random.default_rng(4).choice([-1.0, 1.0], (len(points), 1))
+    unit = normals * signs / np.linalg.norm(normals, axis=1, keepdims=True)
+    orientation, decision = settle(points + offset, unit, "auto", None, Source())
+    assert decision.used == "terrain" and not decision.warnings()
+    assert (orientation.normals[is_ground, 2] > 0).mean() > 0.999
+    assert oriented_accuracy(orientation.normals, normals)[0] > 0.97
+    turned = settle(points[:, [2, 0, 1]], unit[:, [2, 0, 1]], "auto", None, Source())[1]
+    assert turned.used != "terrain"
+
+
+def test_objects_rooms_and_plates_are_no_terrain():
+    rng = np.random.default_rng(5)
+    assert not is_terrain(sphere(4000), sphere(4000))
+    for height in (0.2, 0.6):  # a plate, a room: two levels
+        points = rng.uniform(0, 4, (8000, 3))
+        points[:, 2] = height * rng.integers(2, size=8000)
+        assert not is_terrain(points, np.tile([0.0, 0, 1], (8000, 1)))
+
+
+@pytest.mark.parametrize("turn", [[0, 1, 2], [2, 0, 1], [1, 2, 0]])
+def test_one_view_of_an_object_looks_to_where_it_was_seen_from(turn):
+    """A ball in front of a rod, seen along z; whoever sees it from behind sees the same points."""
+    rng = np.random.default_rng(6)
+    ball = sphere(9000)
+    angle = rng.uniform(0, np.pi, 3000)
+    rod = np.column_stack([0.3 * np.cos(angle), rng.uniform(-2, 2, 3000), 0.3 * np.sin(angle) - 1])
+    ball, free = ball[ball[:, 2] > 0.1], np.hypot(rod[:, 0], rod[:, 1]) > 1
+    around = np.column_stack([np.cos(angle), np.zeros(3000), np.sin(angle)])
+    points, normals = np.concatenate([ball, rod[free]]), np.concatenate([ball, around[free]])
+    for mirrored in (1, -1):
+        seen, truth = (points * mirrored)[:, turn], (normals * mirrored)[:, turn]
+        orientation, decision = settle(seen, truth * rng.choice([-1, 1], (len(truth), 1)), "auto", None, Source())
+        assert decision.used == "view" and not decision.warnings()
+        assert oriented_accuracy(orientation.normals, truth)[0] > 0.99
+
+
+def test_what_nothing_tells_is_a_guess_with_a_warning():
+    rng = np.random.default_rng(7)
+    wall = rng.uniform(-1, 1, (4000, 3)) * [1, 0, 1]
+    _, decision = settle(wall, np.tile([0.0, 1, 0], (4000, 1)), "auto", None, Source())
+    assert decision.guessed and "which side was seen" in decision.warnings()[0]
+    _, decision = settle(sphere(600), sphere(600), "auto", None, Source())
+    assert decision.used == "global" and not decision.warnings()
+    assert decision.facts() == {
+        "asked": "auto",
+        "used": "global",
+        "reason": decision.reason,
+        "open_share": 0,
+        "confidence": decision.confidence,
+    }
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.01, 1.0])
-def test_open_surfaces_of_which_the_origin_sees_one_side_look_at_it(tilt):
-    points, orientation = sheet(tilt)
-    seen = seen_from_origin(orientation, points, EstimateOptions(), pcd(points, 0, 0, 0))
-    assert seen is not None
-    assert (seen.normals[:, 2] == -1).all()
+def test_open_surfaces_of_which_the_stated_origin_sees_one_side_look_at_it(tilt):
+    rng = np.random.default_rng(8)
+    points = np.column_stack([np.ones(800), rng.random((800, 2)) - 0.5])
+    normals = np.tile([1.0, 0.0, 0.0], (800, 1))
+    normals[: round(800 * tilt)] *= -1
+    orientation, decision = settle(points, normals, "auto", None, Source(viewpoint=ORIGIN))
+    assert decision.used == "origin" and (orientation.normals[:, 0] == -1).all()
+    assert settle(points, normals, "auto", None, Source())[1].guessed
 
 
 def test_without_a_word_of_the_file_surfaces_must_look_as_taken_from_the_origin(depth_picture):
     cloud = estimate(Cloud(depth_picture), model="pca")
     assert ((cloud.normals * -depth_picture).sum(axis=1) > 0).mean() > 0.99
-    from_behind = np.add(depth_picture * [1, 1, -1], (0, 0, 5))
-    cloud = estimate(Cloud(from_behind), model="pca")
-    assert (cloud.normals[:, 2] > 0).mean() > 0.9  # up, for want of anything better
 
 
-def test_the_origin_is_not_believed_without_reason():
-    points, orientation = sheet()
-    closed = replace(orientation, open=np.zeros(200, dtype=bool))
-    origin = pcd(points, 0, 0, 0)
-    assert seen_from_origin(sheet(0.5)[1], points, EstimateOptions(), origin) is None
-    assert seen_from_origin(closed, points, EstimateOptions(), origin) is None
-    assert seen_from_origin(orientation, points, EstimateOptions(orient="global"), origin) is None
-    assert seen_from_origin(orientation, points, EstimateOptions(), pcd(points, 1, 0, 0)) is None
-    assert seen_from_origin(orientation, points, EstimateOptions(), Cloud(points)) is None
+def test_a_trajectory_tells_where_each_point_was_seen_from(tmp_path):
+    rng = np.random.default_rng(9)
+    points = sphere(600)
+    seconds = rng.uniform(0, 10, len(points))
+    seconds[:5] = 11
+    path = tmp_path / "flight.csv"
+    path.write_text("time,x,y,z\n0,-50,0,3\n10,50,0,3\n")
+    cloud = Cloud(points, attributes={"gps_time": seconds})
+    with pytest.warns(UserWarning, match="5 points have no finite viewpoint"):
+        result = estimate(cloud, model="pca", trajectory=str(path), time_attribute="GpsTime")
+    place = np.column_stack([10 * seconds - 50, np.zeros(len(points)), np.full(len(points), 3.0)])
+    assert ((result.normals * (place - points)).sum(axis=1)[5:] >= 0).all()
+    with pytest.raises(InputError, match="no attribute 'stamp'"):
+        estimate(cloud, model="pca", trajectory=str(path), time_attribute="stamp")
+    path.write_text("0 1 2 3\n1 2 x 4\n")
+    with pytest.raises(InputError, match="line 2"):
+        estimate(cloud, model="pca", trajectory=str(path))
 
 
-def test_the_scanners_of_a_file_go_before_its_viewpoint_but_not_before_the_users():
-    sensors = np.array([5.0, 0.0, 0.0]) + sphere(600)
-    cloud = Cloud(sphere(600), source=Source(viewpoint=(1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0), sensors=sensors))
-    method, places = sign_method(EstimateOptions(), cloud)
-    assert method == "viewpoint" and np.array_equal(places, sensors)
-    _, place = sign_method(EstimateOptions(viewpoint=(4.0, 5.0, 6.0)), cloud)
-    assert place.tolist() == [4, 5, 6]
-    assert sign_method(EstimateOptions(orient="mst"), cloud) == ("mst", None)
-
-
-def test_a_cloud_needs_one_sensor_for_each_point():
-    with pytest.raises(ValueError, match="sensors"):
-        Cloud(sphere(5), source=Source(sensors=np.zeros((4, 3))))
+def test_the_public_call_decides_as_estimate_does():
+    points = sphere(2000)
+    scrambled = points * np.random.default_rng(10).choice([-1.0, 1.0], (2000, 1))
+    np.testing.assert_array_equal(orient(points, scrambled), points)
+    np.testing.assert_array_equal(orient(Cloud(points, scrambled), viewpoint=(0, 0, 0)), -points)
+    np.testing.assert_array_equal(orient(points, scrambled, viewpoint=points * 0), -points)
+    with pytest.raises(InputError, match="need normals"):
+        orient(points)

@@ -1,0 +1,137 @@
+"""Which side of an open surface was seen, where a scan was taken from one place.
+
+One view of an object is a height field over a plane: no point hides another, neither from its sensor nor from behind.
+What tells the two sides apart is how it ends. What a sensor sees of an object ends where the surface turns away from
+it, so that borders run away from the sensor: seen from the right side, the neighbors of a border point lie in front of
+it. Where one thing hides another, the hidden surface ends anywhere.
+
+1. The axis: the direction that as much of the consistently signed surface as possible faces.
+2. All patches are turned to face along the axis (`agreement.relax` weighs that and their couplings).
+3. The borders tell whether the axis points to the sensor or away from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.orientation.agreement import Surface, relax
+from jetnormal.orientation.parts import Parts
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+ROUNDS = 20
+AXIS_WEIGHT = 0.1  # of the votes for the axis, over the couplings
+AVERTED_WEIGHT = 5.0  # of surface that looks away from the axis: a view has none
+LEAST_COSINE = 0.1  # of what a sensor sees, nearly
+BORDER = 0.3  # distance from a border point to the mean of its neighbors, over the radius around these
+MIN_BORDERS = 30  # points; fewer tell nothing
+ONE_SIDE = 0.6  # of the area faces the axis in all views below
+# In 116 simulated views of 58 objects, and 31 others, the borders leaned by 0.04 or more, always away from the sensor;
+# in frames of rooms and streets by 0.02 or less either way.
+LEAN = 0.1
+
+
+@dataclass(frozen=True)
+class View:
+    """A surface as it may have been seen from one side.
+
+    Attributes:
+        belief: (M,) signs of the patches, -1 to 1, that show them to the sensor.
+        facing: the share of the area that then faces the sensor, 0 to 1.
+        lean: how far the borders lean away from the sensor, 0 (not at all) to 1.
+        borders: how many points lie at borders.
+    """
+
+    belief: Floats
+    facing: float
+    lean: float
+    borders: int
+
+    @property
+    def found(self) -> bool:
+        """Whether this may be a view whose sides can be told apart."""
+        return self.borders >= MIN_BORDERS and self.facing >= ONE_SIDE and self.lean > 1 / np.sqrt(self.borders)
+
+    @property
+    def certain(self) -> bool:
+        """Whether the borders lean as clearly as those of objects do."""
+        return self.found and self.lean >= LEAN
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found of N points.
+
+    Attributes:
+        sure: (N,) how sure the signs are, 0 to 1.
+        open: (N,) which points are on a surface without an outside.
+        view: the side of the open surfaces that a sensor saw; None if that was not asked for, or not found.
+    """
+
+    sure: Floats
+    open: Bools
+    view: View | None = None
+
+
+def as_seen(surface: Surface, parts: Parts, among: Bools) -> View:
+    """Find the side of an open surface that one sensor saw.
+
+    Args:
+        surface: N points; normals are consistent in every patch.
+        parts: its M patches.
+        among: (N,) which points are on it; the others are objects of their own.
+    """
+    area = surface.spacing**2 * among
+    axis = _largest_side(surface, parts, area)
+    for _ in range(ROUNDS):
+        belief = _facing(surface, parts, area, axis)
+        signs = np.where(belief < 0, -1.0, 1.0)[parts.patch]
+        along = signs * _along(surface.normals, axis)
+        weight = signs * area * np.where(along < LEAST_COSINE, AVERTED_WEIGHT, 1)
+        before, axis = axis, _unit((surface.normals * weight[:, None]).sum(axis=0))
+        if float((axis * before).sum()) > 0.9999:
+            break
+    belief = _facing(surface, parts, area, axis)
+    along = np.where(belief < 0, -1.0, 1.0)[parts.patch] * _along(surface.normals, axis)
+    lean, borders = _lean(surface, axis, among)
+    return View(belief if lean >= 0 else -belief, float(area[along > 0].sum() / area.sum()), abs(lean), borders)
+
+
+def _largest_side(surface: Surface, parts: Parts, area: Floats) -> Floats:
+    """The mean direction (3,) of the largest component, with consistent signs."""
+    start = np.array([0.48, 0.36, 0.8])  # any direction will do; this one is along no axis of a drawing
+    signs = np.where(_facing(surface, parts, area, start, 1e-3) < 0, -1.0, 1.0)[parts.patch]
+    largest = parts.component == np.argmax(np.bincount(parts.component, area))
+    return _unit((surface.normals * (signs * area * largest)[:, None]).sum(axis=0))
+
+
+def _facing(surface: Surface, parts: Parts, area: Floats, axis: Floats, weight: float = AXIS_WEIGHT) -> Floats:
+    """Signs of patches (M,), -1 to 1, with which they face an axis."""
+    return relax(parts.coupling, weight * parts.by_patch(area * _along(surface.normals, axis)) / area.mean())
+
+
+def _lean(surface: Surface, axis: Floats, among: Bools) -> tuple[float, int]:
+    """How far borders lean away from where the axis points, -1 to 1, and how many points lie at them."""
+    if surface.neighbors.shape[1] < 3:
+        return 0.0, 0
+    inner = surface.points[surface.neighbors].mean(axis=1) - surface.points
+    inner -= np.einsum("nd,nd->n", inner, surface.normals)[:, None] * surface.normals  # the rest of it is noise
+    length = np.linalg.norm(inner, axis=1)
+    border = among & (length > BORDER * surface.radius)
+    if not border.any():
+        return 0.0, 0
+    return float((_along(inner[border], axis) / length[border]).mean()), int(border.sum())
+
+
+def _unit(vector: Floats) -> Floats:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 0 else np.array([0.0, 0.0, 1.0])
+
+
+def _along(vectors: Floats, direction: Floats) -> Floats:
+    """Products with a direction. BLAS would round them differently on each number of threads."""
+    return vectors[:, 0] * direction[0] + vectors[:, 1] * direction[1] + vectors[:, 2] * direction[2]
