@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jetnormal.geometry.neighbors import distinct
 from jetnormal.orientation.agreement import Surface
+from jetnormal.orientation.grazing import grazing_flips
 from jetnormal.orientation.outward import turn_outward, turn_up
 from jetnormal.orientation.single_view import Outcome, View
 from jetnormal.orientation.spanning_tree import grow_tree
@@ -71,7 +72,7 @@ def choose_signs(
             "view": as "global", but open surfaces look to where one sensor saw them from, if they show that.
             "mst": consistent over a spanning tree of each component, whose extreme points then look out; one without
             an outside is turned up. An inner shell looks out of itself.
-            "viewpoint": towards `viewpoint`.
+            "viewpoint": towards `viewpoint`; where the sight line grazes the surface, neighbors count as well.
             "up": n_z > 0, for airborne scans; where n_z is 0, n_y > 0, and where that is 0 too, n_x > 0.
             "terrain": up, walls and crowns away from what is behind them.
             "none": as they are.
@@ -98,6 +99,8 @@ def choose_signs(
     if method == "viewpoint":
         cosine = np.einsum("nd,nd->n", used, sights[rows])
         flip ^= cosine < 0
+        seen = np.where(cosine < 0, -1.0, 1.0)[:, None] * used
+        flip ^= grazing_flips(points[rows].astype(np.float64), seen, np.abs(cosine))
         result.confidence[rows] = np.abs(cosine)
     elif method == "up":
         result.confidence[rows] = used[:, 2]
