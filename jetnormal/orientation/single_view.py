@@ -30,8 +30,8 @@ LEAST_COSINE = 0.1  # of what a sensor sees, nearly
 BORDER = 0.3  # distance from a border point to the mean of its neighbors, over the radius around these
 MIN_BORDERS = 30  # points; fewer tell nothing
 ONE_SIDE = 0.6  # of the area faces the axis in all views below
-# In 116 simulated views of 58 objects, and 31 others, the borders leaned by 0.04 or more, always away from the sensor;
-# in frames of rooms and streets by 0.02 or less either way.
+# In simulated range and depth views of objects, and in 10 of a real figurine, the borders lean by 0.11 or more, and always
+# away from the sensor; in frames of rooms, tables and streets by 0.01 to 0.09.
 LEAN = 0.1
 
 
