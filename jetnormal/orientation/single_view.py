@@ -30,8 +30,8 @@ LEAST_COSINE = 0.1  # of what a sensor sees, nearly
 BORDER = 0.3  # distance from a border point to the mean of its neighbors, over the radius around these
 MIN_BORDERS = 30  # points; fewer tell nothing
 ONE_SIDE = 0.6  # of the area faces the axis in all views below
-# In simulated range and depth views of objects, and in 10 of a real figurine, the borders lean by 0.11 or more, and always
-# away from the sensor; in frames of rooms, tables and streets by 0.01 to 0.09.
+# In simulated range and depth views of objects, and in 10 of a real figurine, the borders lean by 0.11 or more, and
+# always away from the sensor; in frames of rooms, tables and streets by 0.01 to 0.09.
 LEAN = 0.1
 
 
