@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from jetnormal.networks.cloudfit.network import CloudFit
 
 CURVATURE_LEVELS = 3  # whose normals take part in the curvature
+ITERATIONS = (
+    2  # of the last vote: on validation clouds the second takes 1 % off the error, on scans 3 %, a third nothing
+)
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class CloudEstimator:
         name: what it is called.
         config: of the network.
         find: the network: a pyramid, iterations and threads in, the normals of all points out.
-        iterations: of the last vote.
+        iterations: of the last vote: from the second on, it starts from the normals of the one before.
         threads: CPU threads; None for all cores.
         neighbors: of a point in each level of the pyramid, the point itself included.
     """
@@ -44,7 +47,7 @@ class CloudEstimator:
     name: str
     config: CloudFitConfig
     find: Callable[[Pyramid, int, int | None], Found]
-    iterations: int = 1
+    iterations: int = ITERATIONS
     threads: int | None = None
     neighbors: int = NEIGHBORS + 1
     has_curvature: ClassVar[bool] = True
@@ -100,7 +103,7 @@ class CloudEstimator:
 
 
 def cloud_estimator(
-    name: str, path: Path, iterations: int = 1, device: str = "cpu", threads: int | None = None
+    name: str, path: Path, iterations: int = ITERATIONS, device: str = "cpu", threads: int | None = None
 ) -> CloudEstimator:
     """The estimator of a model file: by NumPy on the CPU, by PyTorch on a CUDA device.
 

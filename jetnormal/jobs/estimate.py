@@ -243,8 +243,7 @@ def prepare_estimator(options: NormalOptions) -> Estimator:
     """
     from jetnormal.estimators.factory import make_estimator
 
-    iterations = options.iterations if options.iterations != 1 else None
-    settings: dict[str, Any] = {"k": options.k, "order": options.order, "iterations": iterations}
+    settings: dict[str, Any] = {"k": options.k, "order": options.order, "iterations": options.iterations}
     estimator = make_estimator(options.model_name, **settings, **_resources(options))
     if isinstance(options, EstimateOptions) and options.curvature and not estimator.has_curvature:
         raise UsageError(f"{estimator.name} has no curvature: leave out `curvature`, or choose a network or jet")

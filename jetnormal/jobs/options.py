@@ -93,14 +93,15 @@ class NormalOptions(OptionSet):
         int | None, Option("Order of the fitted jet (jet).", low=1, metavar="N", default="the model's", group="Model")
     ] = None
     iterations: Annotated[
-        int,
+        int | None,
         Option(
-            "Fits per point (networks); each takes the normal of the last as its z axis.",
+            "Fits, or last votes, per point (networks); each starts from the normal of the one before.",
             low=1,
             metavar="N",
+            default="the model's",
             group="Model",
         ),
-    ] = 1
+    ] = None
     orient: Annotated[
         Literal["auto", "global", "mst", "viewpoint", "up", "none"],
         Option(
