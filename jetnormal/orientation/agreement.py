@@ -33,7 +33,7 @@ ROUGHNESS_RANK = 2
 ROUGHNESS_SCALE = 16.0
 PATCH_AGREEMENT = 0.8  # of the edges that join points to a patch
 BUCKETS = 4096  # edges of nearly the same weight are in the order of their points
-PATCH_POINTS = 900  # at most: a wrong edge inside of a patch spoils no other
+PATCH_POINTS = 200  # at most: a wrong edge inside of a patch spoils no other
 # An edge longer than this many radii of its other end starts at a stray point: it joins nothing.
 BRIDGE_RADII = 3.0
 REVOTES = 3

@@ -34,7 +34,7 @@ OPEN_PURITY = 0.5  # |sum| over sum of a patch's votes: nearly 1 on closed surfa
 # Votes over couplings, if all agree. Couplings that do not contradict each other are hardly ever wrong, while a third
 # of the votes are where scanners left holes: then votes only say which of the two solutions is outward. Where
 # couplings do contradict each other, or noise hides which side of a thin part a point is on, both count alike.
-SURE_WEIGHT, DOUBTFUL_WEIGHT = 0.01, 1.0
+SURE_WEIGHT, DOUBTFUL_WEIGHT = 0.001, 1.0
 CONTRADICTION = 1e-3  # share of the couplings that the others contradict
 DROWNED = 0.25  # roughness over spacing
 LEVEL = 0.3  # cosine to the vertical; what is steeper is a wall

@@ -56,7 +56,7 @@ def test_patches_are_consistent_and_of_bounded_size():
     sign = np.sign((surface.normals * normals).sum(axis=1))
     size = np.bincount(patch)
     np.testing.assert_array_equal(np.abs(np.bincount(patch, sign)), size)
-    assert size.max() <= PATCH_POINTS and len(size) < 40
+    assert size.max() <= PATCH_POINTS and len(size) < 80
 
 
 def test_couplings_join_what_touches_and_know_which_sides_agree():
