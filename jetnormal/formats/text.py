@@ -41,6 +41,7 @@ ENCODINGS = ("ascii",)
 _TYPES = frozenset(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"))
 _COMMENT = re.compile(rb"((?:#|//)[ \t]?)([^\r\n]*)")
 _PIECE = 1 << 24
+MOST_COLUMNS = 50_000  # each becomes an attribute
 _EXACT_INTEGERS = 2.0**53  # from here on a double cannot hold every integer
 
 
@@ -88,6 +89,10 @@ def read(path: Path, *, suffix: str, columns: str | None = None, decimal: str | 
         preamble = read_preamble(stream, path, decimal)
         if not preamble.columns and not preamble.names and preamble.count != 0:
             raise InputError(f"{path}: holds no points; is this the right file?")
+        if preamble.columns and preamble.columns > MOST_COLUMNS:
+            raise InputError(
+                f"{path}: {preamble.columns:,} columns, more than {MOST_COLUMNS:,}; is this the right file?"
+            )
         numbers, comments = _read_rows(stream, preamble, path)
     if preamble.count not in (None, len(numbers[0])):
         raise InputError(f"{path}: declares {preamble.count} points but holds {len(numbers[0])}; is it truncated?")

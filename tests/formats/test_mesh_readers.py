@@ -115,7 +115,8 @@ def test_gltf_reads_the_buffers_beside_it_and_moves_its_nodes(tmp_path):
     content = SQUARE[:3].astype("<f4").tobytes() + np.array([0, 1, 2], "<u4").tobytes()
     written(tmp_path, "corners.bin", content)
     mesh = read_mesh(written(tmp_path, "a.gltf", json.dumps(gltf())))
-    assert np.array_equal(mesh.vertices[mesh.faces[0]], SQUARE[:3] + np.array([10, 0, 0]))
+    x, y, z = (SQUARE[:3] + np.array([10, 0, 0])).T
+    assert np.array_equal(mesh.vertices[mesh.faces[0]], np.column_stack([x, -z, y]))  # up is y in glTF, z here
 
 
 def test_a_mirrored_node_keeps_the_outside_outside(tmp_path):
@@ -123,7 +124,7 @@ def test_a_mirrored_node_keeps_the_outside_outside(tmp_path):
     written(tmp_path, "corners.bin", content)
     document = gltf(nodes=[{"mesh": 0, "scale": [-1, 1, 1]}])
     mesh = read_mesh(written(tmp_path, "a.gltf", json.dumps(document)))
-    assert mesh.area_vectors()[0, 2] > 0
+    assert mesh.area_vectors()[0, 1] < 0  # up is y in glTF, z here: what looked along z looks along -y
 
 
 @pytest.mark.parametrize(
