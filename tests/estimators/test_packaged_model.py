@@ -24,13 +24,13 @@ SEEDS = (90_001, 90_002, 90_003)  # of solids; training draws from others
 
 @functools.cache
 def error(model: str, noise: float) -> float:
-    """RMSE in degrees over 300 points of each solid."""
+    """RMSE in degrees over 150 points of each solid."""
     estimator = make_estimator(model)
     errors = []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         points, normals = random_solid(rng).sample(30_000, rng)
-        queries = rng.choice(len(points), 300, replace=False)
+        queries = rng.choice(len(points), 150, replace=False)
         found = estimator(add_noise(points, noise, rng) if noise else points, queries)
         errors.append(angles(found.normals, normals[queries]))
     return rmse(np.concatenate(errors))
