@@ -156,12 +156,11 @@ def _parse(stream: BinaryIO, preamble: Preamble, path: Path) -> list[NDArray[Any
     start = stream.tell()
     columns: list[NDArray[Any]] = list(read_rows(stream, np.dtype(np.float64)).T)
     largest = [np.abs(column).max() for column in columns]
-    types = ["i8" if _EXACT_INTEGERS <= size < np.inf else "f8" for size in largest]
-    if "i8" in types:
+    for large in (index for index, size in enumerate(largest) if _EXACT_INTEGERS <= size < np.inf):
+        types = [(str(index), "i8" if index == large else "f8") for index in range(len(columns))]
         stream.seek(start)
         with suppress(InputError):  # large numbers that are no integers
-            exact = read_rows(stream, np.dtype([(str(index), kind) for index, kind in enumerate(types)]))
-            columns = [exact[str(index)] for index in range(len(columns))]
+            columns[large] = read_rows(stream, np.dtype(types))[str(large)]
     return columns
 
 

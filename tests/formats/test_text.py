@@ -347,3 +347,8 @@ def test_names_that_would_break_the_line_of_names(tmp_path):
 def test_names_of_digits_are_names(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,z,7\n0,1,2,3\n")
     assert read(tmp_path / "a.csv").attributes["7"].tolist() == [3]
+
+
+def test_integers_beyond_doubles_are_exact_beside_large_coordinates(tmp_path):
+    (tmp_path / "a.txt").write_text("# x y z label\n1e+16 0 0 9007199254740993\n")
+    assert read(tmp_path / "a.txt").attributes["label"].tolist() == [9007199254740993]
