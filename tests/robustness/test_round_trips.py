@@ -43,8 +43,14 @@ def clouds(draw: st.DrawFn) -> Cloud:
     return Cloud(points, normals, attributes, source)
 
 
+# The same examples in every run, so that a change is told from chance; `make fuzz` looks for new ones.
+SAME_EXAMPLES = settings(
+    max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
 @pytest.mark.parametrize(("suffix", "encoding"), CASES)
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@SAME_EXAMPLES
 @given(cloud=clouds())
 def test_a_cloud_comes_back(tmp_path_factory, suffix, encoding, cloud):
     path = tmp_path_factory.mktemp("round") / f"a{suffix}"
@@ -75,7 +81,7 @@ def meshes(draw: st.DrawFn) -> Mesh:
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".glb", ".stl"])
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@SAME_EXAMPLES
 @given(mesh=meshes())
 def test_a_mesh_comes_back(tmp_path_factory, suffix, mesh):
     path = tmp_path_factory.mktemp("round") / f"a{suffix}"
