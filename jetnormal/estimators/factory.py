@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jetnormal.errors import ModelError, UsageError
-from jetnormal.networks.model_file import read_description
+from jetnormal.networks.model_file import ARCHITECTURES, read_description
 from jetnormal.networks.packaged import packaged_names, resolve
 from jetnormal.support.options import MAX_THREADS
 
@@ -136,7 +136,7 @@ def model_file(model: str) -> Path | None:
 def _kind_of(path: Path) -> _Kind:
     """The kind of estimator that a model file is for."""
     architecture = read_description(path).get("architecture")
-    if architecture not in NETWORKS:
+    if not isinstance(architecture, str) or architecture not in ARCHITECTURES:
         raise ModelError(f"{path}: holds no network (architecture {architecture!r})")
     return _KINDS[architecture]
 
@@ -231,7 +231,6 @@ def _load(network: Path | Network | None) -> Any:
     return load_model(network)
 
 
-NETWORKS = ("patchfit", "cloudfit", "iternet", "pcpnet", "nestinet")  # architectures of model files
 _KINDS = {
     "pca": _Kind(("k",), False, _pca),
     "jet": _Kind(("k", "order"), False, _jet),

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from jetnormal.errors import ModelError, UsageError
 from jetnormal.formats.atomic import atomic_write
-from jetnormal.networks.model_file import LARGEST_WEIGHT
+from jetnormal.networks.model_file import ARCHITECTURES, FORMAT, LARGEST_WEIGHT, read_tensors
 from jetnormal.networks.packaged import resolve
 from jetnormal.support.device import torch_threads
 from jetnormal.support.options import build
@@ -31,15 +30,6 @@ if TYPE_CHECKING:
 
     Network = PatchFit | CloudFit | IterNet | PCPNet | NestiNet
 
-FORMAT = "jetnormal-1"
-# Modules, networks and configurations; imported when needed, for some bring compiled loops along.
-ARCHITECTURES = {
-    "patchfit": ("patchfit.network", "PatchFit", "PatchFitConfig"),
-    "cloudfit": ("cloudfit.network", "CloudFit", "CloudFitConfig"),
-    "iternet": ("iternet", "IterNet", "IterNetConfig"),
-    "pcpnet": ("pcpnet", "PCPNet", "PCPNetConfig"),
-    "nestinet": ("nestinet", "NestiNet", "NestiNetConfig"),
-}
 LONGEST_LIST = 64  # in a configuration: a network has a module or more for each item
 
 
@@ -73,17 +63,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     Raises:
         ModelError: if the file is missing, damaged, or of another program.
     """
-    if not path.is_file():
-        raise ModelError(f"{path}: no such model file")
-    try:
-        with safe_open(path, framework="pt") as file:
-            text = file.metadata() or {}
-            if text.get("format") != FORMAT:
-                raise ModelError(f"{path}: not a model of jetnormal; train one with `jetnormal train`")
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            return tensors, dict(json.loads(text["description"]))
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise ModelError(f"{path}: damaged or not a safetensors file ({error})") from error
+    return read_tensors(path, "pt")
 
 
 def save_model(path: Path, network: Network, training: dict[str, Any]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,14 @@ from safetensors import SafetensorError, safe_open
 from jetnormal.errors import ModelError
 
 FORMAT = "jetnormal-1"
+# Of each architecture the module, the network and its configuration: imported when needed, for some are heavy.
+ARCHITECTURES = {
+    "patchfit": ("patchfit.network", "PatchFit", "PatchFitConfig"),
+    "cloudfit": ("cloudfit.network", "CloudFit", "CloudFitConfig"),
+    "iternet": ("iternet", "IterNet", "IterNetConfig"),
+    "pcpnet": ("pcpnet", "PCPNet", "PCPNetConfig"),
+    "nestinet": ("nestinet", "NestiNet", "NestiNetConfig"),
+}
 LARGEST_WEIGHT = 1e6  # no layer of use has a larger one, and products of a few would not be finite in float32
 
 
@@ -22,7 +30,7 @@ def read_description(path: Path) -> dict[str, Any]:
     Raises:
         ModelError: the file is missing, damaged, or of another program.
     """
-    return _read(path, with_weights=False)[1]
+    return read_tensors(path, "np", only_description=True)[1]
 
 
 def read_model_file(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
@@ -31,7 +39,7 @@ def read_model_file(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[st
     Raises:
         ModelError: the file is missing, damaged, of another program, or holds weights that are no usable numbers.
     """
-    arrays, description = _read(path, with_weights=True)
+    arrays, description = read_tensors(path, "np")
     for name, values in arrays.items():
         if values.dtype != np.float32:
             raise ModelError(f"{path}: {name} is of type {values.dtype}, not float32; train the model again")
@@ -40,15 +48,27 @@ def read_model_file(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[st
     return arrays, description
 
 
-def _read(path: Path, with_weights: bool) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def read_tensors(
+    path: Path, framework: Literal["np", "pt"], *, only_description: bool = False
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read the tensors of a file that jetnormal wrote, and what it says of itself.
+
+    Args:
+        path: the file.
+        framework: whose arrays to make: NumPy's or PyTorch's.
+        only_description: whether to leave the tensors on the disk.
+
+    Raises:
+        ModelError: the file is missing, damaged, or of another program.
+    """
     if not path.is_file():
         raise ModelError(f"{path}: no such model file")
     try:
-        with safe_open(path, framework="np") as file:
+        with safe_open(path, framework=framework) as file:
             text = file.metadata() or {}
             if text.get("format") != FORMAT:
                 raise ModelError(f"{path}: not a model of jetnormal; train one with `jetnormal train`")
-            names = file.keys() if with_weights else ()
+            names = () if only_description else file.keys()
             return {name: file.get_tensor(name) for name in names}, dict(json.loads(text["description"]))
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise ModelError(f"{path}: damaged or not a safetensors file ({error})") from error
