@@ -18,6 +18,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from jetnormal.networks.ball_config import BallConfig
 from jetnormal.networks.patchfit.layers import point_layers
 from jetnormal.networks.patchfit.ztransform import scaled
 
@@ -29,33 +30,10 @@ EXPERT = ((128, 3, 5), (256, 3, 5), None, (256, 2, 4), None, (512, 2, 4), None)
 
 
 @dataclass(frozen=True)
-class NestiNetConfig:
-    """What rebuilds a Nesti-Net; the defaults are the published network.
+class NestiNetConfig(BallConfig):
+    """What rebuilds a Nesti-Net; the defaults are the published network. A sparse ball keeps fewer than `points`."""
 
-    Attributes:
-        radii: of the balls, in diagonals of the cloud's bounding box.
-        points: of a ball: as many are drawn from a fuller one; a sparser one has fewer.
-        width: factor on every channel count.
-        principal_axes: whether the balls are turned to the principal axes of the largest one, which spares a small
-            network learning all rotations; the published network does without.
-
-    Raises:
-        ValueError: if a number is out of range.
-    """
-
-    radii: tuple[float, ...] = (0.01, 0.03, 0.05)
     points: int = 512
-    width: float = 1.0
-    principal_axes: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "radii", tuple(self.radii))  # a model file has a list
-        if not self.radii or min(self.radii) <= 0:
-            raise ValueError(f"radii are positive, not {self.radii}")
-        if self.points < 3:
-            raise ValueError(f"a ball has 3 points or more, not {self.points}")
-        if not 0 < self.width <= 4:
-            raise ValueError(f"the width of a network lies between 0 and 4, not {self.width}")
 
     @property
     def experts(self) -> list[slice]:

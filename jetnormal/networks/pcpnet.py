@@ -14,6 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from jetnormal.networks.ball_config import BallConfig
 from jetnormal.networks.patchfit.layers import PointLayer, full_precision, point_layers
 from jetnormal.networks.patchfit.ztransform import rotation_matrix, scaled, zero_linear
 
@@ -21,33 +22,11 @@ DROPOUT = 0.3
 
 
 @dataclass(frozen=True)
-class PCPNetConfig:
+class PCPNetConfig(BallConfig):
     """What rebuilds a PCPNet; the defaults are the published multi-scale network.
 
-    Attributes:
-        radii: of the balls, in diagonals of the cloud's bounding box; (0.05,) is the published single-scale network.
-        points: of a ball: as many are drawn from a fuller one, and the query fills a sparser one up.
-        width: factor on every channel count.
-        principal_axes: whether the balls are turned to the principal axes of the largest one, which spares a small
-            network learning all rotations; the published network does without.
-
-    Raises:
-        ValueError: if a number is out of range.
+    The single-scale network has the radii (0.05,). The query fills up a ball that has fewer than `points`.
     """
-
-    radii: tuple[float, ...] = (0.01, 0.03, 0.05)
-    points: int = 500
-    width: float = 1.0
-    principal_axes: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "radii", tuple(self.radii))  # a model file has a list
-        if not self.radii or min(self.radii) <= 0:
-            raise ValueError(f"radii are positive, not {self.radii}")
-        if self.points < 3:
-            raise ValueError(f"a ball has 3 points or more, not {self.points}")
-        if not 0 < self.width <= 4:
-            raise ValueError(f"the width of a network lies between 0 and 4, not {self.width}")
 
 
 class PCPNet(nn.Module):
