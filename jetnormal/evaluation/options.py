@@ -47,7 +47,7 @@ class EvaluateOptions(OptionSet):
         Path | None,
         Option("Write the normals of each model as DIR/MODEL/CLOUD.normals.", metavar="DIR", group="Output"),
     ] = None
-    device: Annotated[str, Option("Where patch networks run.", metavar="auto|cpu|cuda[:N]", group="Resources")] = "auto"
+    device: Annotated[str, Option("Where networks run.", metavar="auto|cpu|cuda[:N]", group="Resources")] = "auto"
     threads: Annotated[
         int | None, Option("CPU threads.", low=1, metavar="T", default="all cores", group="Resources")
     ] = None

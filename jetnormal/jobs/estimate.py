@@ -41,8 +41,7 @@ class Result:
             where the surface bends towards the normal; None of a plane.
         sign_confidence: (N,) float32, 0 to 1, how sure each sign is (`orientation.methods.Orientation`).
         model: what estimated the normals, with its settings.
-        orient: the method that chose the signs (`orientation.policy.Decision.used`).
-        decision: why that one, and how sure it is.
+        decision: the method that chose the signs, why that one, and how sure it is.
         warnings: what a user should know.
         seconds: wall-clock time by stage: clean, estimate, orient.
     """
@@ -52,10 +51,14 @@ class Result:
     curvatures: NDArray[np.float32] | None
     sign_confidence: NDArray[np.float32]
     model: str
-    orient: str
     decision: Decision
     warnings: tuple[str, ...]
     seconds: dict[str, float]
+
+    @property
+    def orient(self) -> str:
+        """The method that chose the signs."""
+        return self.decision.used
 
     @property
     def reason(self) -> str:
@@ -211,7 +214,6 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         None if curvatures is None else spread(curvatures),
         spread(orientation.confidence),
         name,
-        decision.used,
         decision,
         tuple(warnings),
         {stage: timer.seconds[stage] for stage in ("clean", "estimate", "orient")},
