@@ -144,7 +144,7 @@ def main() -> None:
             found = score(case, model)
             parts = [] if found.rmse is None else [f"{found.rmse:.2f}°"]
             parts += [] if found.outward is None else [f"{100 * found.outward:.1f} %"]
-            parts += [] if not found.missing else [f"NaN {100 * found.missing:.2g} %"]
+            parts += [] if not found.missing else [f"NaN {100 * found.missing:.3g} %"]
             cells.append(", ".join(parts or ["finite"]) + (" **!**" if found.faults else ""))
             faults += [f"{case.name}, {model}: {fault}" for fault in found.faults]
         bounds = ["all NaN"] if case.nothing else [] if case.rmse is None else [f"{case.rmse:g}°"]

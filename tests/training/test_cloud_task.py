@@ -10,7 +10,6 @@ import torch
 from jetnormal.data.sources import SyntheticSolids
 from jetnormal.errors import ModelError, ResourceError
 from jetnormal.geometry.pyramid import build_pyramid
-from jetnormal.networks.checkpoint import load_model
 from jetnormal.networks.cloudfit.config import CloudFitConfig
 from jetnormal.networks.cloudfit.network import CloudFit
 from jetnormal.networks.cloudfit.torch_ops import plain_torch
@@ -30,29 +29,10 @@ RECIPE = read_recipe(
 )
 
 
-def weights(folder: Path) -> dict[str, torch.Tensor]:
-    return load_model(folder / "model.safetensors").state_dict()
-
-
-def test_an_interrupted_run_ends_as_an_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    summary = train(RECIPE, tmp_path / "whole", source=SOLIDS, threads=2)
+def test_an_interrupted_run_ends_as_an_uninterrupted_one(resumed_equals_whole):
+    summary = resumed_equals_whole(RECIPE, CloudTask, SOLIDS, threads=2)
     assert summary["epoch"] == 2
     assert 2 * 3 * 2 * 40 < summary["samples"] < 2 * 3 * 2 * 150
-    steps = []
-
-    def stop_in_the_second_epoch(*arguments, backward=CloudTask.backward):
-        steps.append(1)
-        if len(steps) == 5:
-            raise KeyboardInterrupt
-        return backward(*arguments)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(CloudTask, "backward", stop_in_the_second_epoch)
-        with pytest.raises(KeyboardInterrupt):
-            train(RECIPE, tmp_path / "parts", source=SOLIDS, threads=2)
-    train(RECIPE, tmp_path / "parts", source=SOLIDS, threads=2, resume=True)
-    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "parts")
-    assert all(torch.equal(value, parts[name]) for name, value in whole.items())
 
 
 def test_a_loss_that_is_no_number_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -12,7 +12,6 @@ from jetnormal.data.sources import SyntheticSolids
 from jetnormal.errors import UsageError
 from jetnormal.geometry.graph import cloud_spacing
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.networks.checkpoint import load_model
 from jetnormal.networks.iternet import IterNet, IterNetConfig
 from jetnormal.support.device import worker_pool
 from jetnormal.training.iter_task import IterTask, Turned, round_crops
@@ -30,29 +29,10 @@ RECIPE = read_recipe(
 )
 
 
-def weights(folder: Path) -> dict[str, torch.Tensor]:
-    return load_model(folder / "model.safetensors").state_dict()
-
-
-def test_an_interrupted_run_ends_as_an_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    summary = train(RECIPE, tmp_path / "whole", source=SOLIDS, threads=1)
+def test_an_interrupted_run_ends_as_an_uninterrupted_one(resumed_equals_whole):
+    summary = resumed_equals_whole(RECIPE, IterTask, SOLIDS, threads=1)
     assert summary["parameters"] == 7_981
     assert summary["samples"] == 2 * 3 * 2 * 60
-    steps = []
-
-    def stop_in_the_second_epoch(*arguments, backward=IterTask.backward):
-        steps.append(1)
-        if len(steps) == 5:
-            raise KeyboardInterrupt
-        return backward(*arguments)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(IterTask, "backward", stop_in_the_second_epoch)
-        with pytest.raises(KeyboardInterrupt):
-            train(RECIPE, tmp_path / "parts", source=SOLIDS, threads=1)
-    train(RECIPE, tmp_path / "parts", source=SOLIDS, threads=1, resume=True)
-    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "parts")
-    assert all(torch.equal(value, parts[name]) for name, value in whole.items())
 
 
 def test_clouds_are_turned_and_scaled_to_their_spacing():

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from norms import with_statistics
 from torch import nn
 from torch.nn.functional import leaky_relu
 
@@ -13,17 +14,6 @@ from jetnormal.networks.patchfit.network import parameter_count
 @pytest.fixture(autouse=True)
 def seed():
     torch.manual_seed(0)
-
-
-def settled(module: nn.Module) -> nn.Module:
-    """A module whose normalisations have statistics, gains and shifts of their own; evaluation mode."""
-    for layer in module.modules():
-        if isinstance(layer, nn.BatchNorm1d):
-            nn.init.uniform_(layer.running_mean, -0.5, 0.5)
-            nn.init.uniform_(layer.running_var, 0.5, 2)
-            nn.init.uniform_(layer.weight, -1, 2)
-            nn.init.uniform_(layer.bias, -0.5, 0.5)
-    return module.eval().requires_grad_(False)
 
 
 def naive_layer(layer: PointLayer, features: torch.Tensor) -> torch.Tensor:
@@ -57,7 +47,7 @@ def test_parameters_are_those_of_the_publication():
 @pytest.mark.parametrize("folded", [False, True])
 @pytest.mark.parametrize("far, near", [(6, 3), (40, 20)])
 def test_a_graph_layer_equals_a_loop_over_the_edges(far, near, folded):
-    layer = settled(GraphLayer(16, far, near))
+    layer = with_statistics(GraphLayer(16, far, near))
     features = torch.randn(3, 25, 16)
     graph = torch.stack([naive_graph(layer, patch) for patch in features])
     expected = layer.gate(features, graph)
@@ -69,7 +59,7 @@ def test_a_graph_layer_equals_a_loop_over_the_edges(far, near, folded):
 
 
 def test_folding_gives_a_layer_without_a_bias_one():
-    layer = settled(PointLayer(6, 10, nn.LeakyReLU(0.2), bias=False))
+    layer = with_statistics(PointLayer(6, 10, nn.LeakyReLU(0.2), bias=False))
     features = torch.randn(2, 7, 6)
     expected = naive_layer(layer, features)
     assert layer.linear.bias is None
@@ -89,7 +79,7 @@ def test_the_gate_mixes_by_one_share_a_channel():
 
 @pytest.mark.parametrize("batch, count", [(1, 1), (1, 17), (3, 60)])
 def test_shapes_for_any_number_of_points(batch, count):
-    network = settled(GraphFit(0.125))
+    network = with_statistics(GraphFit(0.125))
     nn.init.normal_(network.offset.weight)
     weighting = network(torch.randn(batch, count, 3))
     assert weighting.weights.shape == (batch, count)
@@ -100,7 +90,7 @@ def test_shapes_for_any_number_of_points(batch, count):
 
 
 def test_the_order_of_the_points_does_not_matter():
-    network = settled(GraphFit(0.125))
+    network = with_statistics(GraphFit(0.125))
     points = torch.randn(2, 60, 3)
     order = torch.randperm(60)
     before, after = network(points).weights, network(points[:, order]).weights

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from norms import with_statistics
 from torch import nn
 
 from jetnormal.networks.patchfit.layers import (
@@ -20,17 +21,6 @@ from jetnormal.networks.patchfit.selection import every_nth, farthest_points
 @pytest.fixture(autouse=True)
 def seed():
     torch.manual_seed(0)
-
-
-def with_statistics(module: nn.Module) -> nn.Module:
-    """Gives every normalisation statistics and gains of its own, as training does; evaluation mode."""
-    for layer in module.modules():
-        if isinstance(layer, nn.BatchNorm1d):
-            nn.init.uniform_(layer.running_mean, -0.5, 0.5)
-            nn.init.uniform_(layer.running_var, 0.5, 2)
-            nn.init.uniform_(layer.weight, -1, 2)
-            nn.init.uniform_(layer.bias, -0.5, 0.5)
-    return module.eval().requires_grad_(False)
 
 
 @pytest.mark.parametrize("shape", [(5,), (2, 7), (2, 3, 4)])
