@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.geometry.moments import Moments, moments_of
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.support.compiled import compiled
 
@@ -26,7 +27,6 @@ AVERAGED = 8  # neighbors whose mean is the position of a point of the next leve
 LINE = 0.12  # ratio of the middle to the largest variance of the neighbors, below which they lie in a line
 SAME = 0.02  # of the scale: points nearer than that are one place
 _Found = tuple[NDArray[np.int32], NDArray[np.float64]]  # neighbors and their distances, (n, 16) each
-_Moments = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 PASSES = 4  # of thinning, at most: each leaves about a fifth of a line
 LEAST_EVEN = 256  # points: a cloud is not thinned below
 
@@ -99,7 +99,7 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
     for number in range(levels):
         if number:
             found = _other_neighbors(points, threads)
-            moments = _moments(points, points, found[0])
+            moments = moments_of(points, points, found[0])
         (neighbors, distances), (scale, normals, variance, centroid) = found, moments
         if pyramid:  # in a small level the same points may have been averaged twice
             scale = np.maximum(scale, LEAST_GROWTH * pyramid[-1].scale[pyramid[-1].chosen])
@@ -116,7 +116,7 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
     return Pyramid(pyramid, kept, left_out, _neighborhood(cloud[left_out], pyramid[0], threads))
 
 
-def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int64], _Found, _Moments]:
+def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int64], _Found, Moments]:
     """Leaves points out where samples lie in lines or nearly coincide.
 
     A point whose neighbors lie in a line must not have another of the thinned cloud among its six nearest, and
@@ -128,7 +128,7 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
     """
     kept = np.arange(len(points))
     neighbors, distances = _other_neighbors(points, threads)
-    moments = _moments(points, points, neighbors)
+    moments = moments_of(points, points, neighbors)
     for _ in range(PASSES):
         scale, _, variance, _ = moments
         lined = variance[:, 1] < LINE * variance[:, 2]
@@ -140,7 +140,7 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
         keep = _apart(neighbors, distances, reach, order)
         kept = kept[keep]
         neighbors, distances = _without(points[kept], keep, neighbors, distances, threads)
-        moments = _moments(points[kept], points[kept], neighbors)
+        moments = moments_of(points[kept], points[kept], neighbors)
     return kept, (neighbors, distances), moments
 
 
@@ -187,7 +187,7 @@ def _neighborhood(points: NDArray[np.float64], level: Level, threads: int | None
         neighbors = np.pad(found.astype(np.int32), ((0, 0), (0, NEIGHBORS - k)), mode="edge")
     else:
         neighbors = np.zeros((0, NEIGHBORS), np.int32)
-    return Neighborhood(points, neighbors, *_moments(points, level.positions, neighbors))
+    return Neighborhood(points, neighbors, *moments_of(points, level.positions, neighbors))
 
 
 def _other_neighbors(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
@@ -252,78 +252,3 @@ def _parents(neighbors: NDArray[np.int32], keep: NDArray[np.bool_]) -> NDArray[n
         for column in range(max(count, 1), PARENTS):
             parents[i, column] = parents[i, column - 1]
     return parents
-
-
-@compiled
-def _principal(m: NDArray[np.float64], values: NDArray[np.float64], normal: NDArray[np.float64]) -> None:
-    """Ascending eigenvalues of a symmetric (3, 3) matrix of trace about 1, and a unit eigenvector of the smallest.
-
-    The largest eigenvalue is by the trigonometric solution of the cubic (Smith, 1961); the vector is the longest cross
-    product of two rows of m - value I, all of which are orthogonal to it.
-    """
-    mean = (m[0, 0] + m[1, 1] + m[2, 2]) / 3
-    a, b, c = m[0, 0] - mean, m[1, 1] - mean, m[2, 2] - mean
-    d, e, f = m[0, 1], m[0, 2], m[1, 2]
-    p = np.sqrt((a * a + b * b + c * c + 2 * (d * d + e * e + f * f)) / 6)
-    values[:] = mean
-    if p > 1e-200:
-        half = (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / (2 * p * p * p)
-        values[2] = mean + 2 * p * np.cos(np.arccos(min(max(half, -1.0), 1.0)) / 3)
-        # the smaller two from their sum and product: the cubic's own solution would lose half the digits
-        together = max(3 * mean - values[2], 0.0)
-        determinant = m[0, 0] * (m[1, 1] * m[2, 2] - f * f) - d * (d * m[2, 2] - f * e) + e * (d * f - m[1, 1] * e)
-        # rounding of collinear points must not look like a width: eigenvalues are not negative, and real
-        product = min(max(determinant / values[2], 0.0), together * together / 4)
-        values[1] = (together + np.sqrt(max(together * together - 4 * product, 0.0))) / 2
-        values[0] = product / values[1] if values[1] > 1e-200 else 0.0
-    longest = 0.0
-    normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
-    for row in range(3):
-        other = (row + 1) % 3
-        u0, u1, u2 = m[row, 0], m[row, 1], m[row, 2]
-        v0, v1, v2 = m[other, 0], m[other, 1], m[other, 2]
-        if row == 0:
-            u0, v1 = u0 - values[0], v1 - values[0]
-        elif row == 1:
-            u1, v2 = u1 - values[0], v2 - values[0]
-        else:
-            u2, v0 = u2 - values[0], v0 - values[0]
-        x, y, z = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
-        square = x * x + y * y + z * z
-        if square > longest and square > 1e-60:
-            longest = square
-            length = np.sqrt(square)
-            normal[0], normal[1], normal[2] = x / length, y / length, z / length
-
-
-@compiled
-def _moments(points: NDArray[np.float64], others: NDArray[np.float64], neighbors: NDArray[np.int32]) -> _Moments:
-    """Scale, normal, variances and centroid of each point's neighborhood among others, the point itself included."""
-    count, k = neighbors.shape
-    scale, centroid = np.empty(count, np.float32), np.empty((count, 3), np.float32)
-    normals, variance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    mean, values, normal = np.empty(3), np.empty(3), np.empty(3)
-    covariance = np.empty((3, 3))
-    for i in range(count):
-        mean[:] = 0
-        covariance[:] = 0
-        for j in neighbors[i]:
-            for a in range(3):
-                d = others[j, a] - points[i, a]
-                mean[a] += d
-                for b in range(a + 1):
-                    covariance[a, b] += d * (others[j, b] - points[i, b])
-        square = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
-        size = np.sqrt(square / k) if square > 0 else 1.0
-        scale[i] = size
-        for a in range(3):
-            centroid[i, a] = mean[a] / (k * size)
-            for b in range(a + 1):
-                covariance[a, b] = (covariance[a, b] - mean[a] * mean[b] / (k + 1)) / (size * size)
-                covariance[b, a] = covariance[a, b]
-        _principal(covariance, values, normal)
-        total = max(values[0] + values[1] + values[2], 1e-30)
-        for a in range(3):
-            normals[i, a] = normal[a]
-            variance[i, a] = max(values[a], 0.0) / total
-    return scale, normals, variance, centroid
