@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError, ResourceError, UsageError
 from jetnormal.formats import atomic
 from jetnormal.formats.registry import Format, all_formats, find_format, suffixes
+from jetnormal.formats.streams import CloudStream, RowWriter
 from jetnormal.support.streams import STREAM
 
-__all__ = ["Format", "all_formats", "check_target", "find_format", "format_for", "read", "suffixes", "write"]
+__all__ = [
+    "CloudStream",
+    "Format",
+    "all_formats",
+    "check_pieces",
+    "check_target",
+    "find_format",
+    "format_for",
+    "open_stream",
+    "read",
+    "suffixes",
+    "write",
+    "write_pieces",
+]
 
 _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -75,6 +93,85 @@ def _as_file(path: Path) -> Iterator[Path]:
             yield copy
         except InputError as error:
             raise InputError(str(error).replace(str(copy), "standard input")) from error
+
+
+def open_stream(
+    path: str | PathLike[str], *, format: str | None = None, columns: str | None = None, decimal: str | None = None
+) -> CloudStream:
+    """Open a point cloud to be read in pieces, whatever its size.
+
+    Args: as for `read`; a stream such as standard input cannot be read twice, and is refused.
+
+    Raises:
+        InputError: as `read`, or the file cannot be read in pieces.
+        UsageError: `columns` or `decimal` do not fit the file.
+    """
+    path = Path(path)
+    known = find_format(path, format)
+    if known.stream is None or str(path) == STREAM:
+        able = " ".join(sorted(s for each in all_formats() if each.stream for s in each.suffixes))
+        what = "a stream" if str(path) == STREAM else f"a {known.name} file"
+        raise InputError(f"{path}: {what} is not read in pieces; {able} are")
+    options: dict[str, Any] = {"columns": columns, "decimal": decimal} if known.has_columns else {}
+    if not known.has_columns and (columns is not None or decimal is not None):
+        raise UsageError(f"{path}: `columns` and `decimal` are for text files, not for {known.name}")
+    try:
+        return known.stream(path, **options)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+
+
+def write_pieces(
+    pieces: Iterator[Cloud],
+    points: int,
+    box: NDArray[np.float64],
+    path: str | PathLike[str],
+    *,
+    format: str | None = None,
+    encoding: str | None = None,
+    overwrite: bool = False,
+) -> list[str]:
+    """Write a point cloud that comes in pieces; the file appears complete or not at all.
+
+    Args:
+        pieces: parts of the cloud with the same attributes and types, at least one.
+        points: rows in all.
+        box: (2, 3) least and largest finite coordinates.
+        path, format, encoding, overwrite: as for `write`.
+
+    Returns:
+        Warnings: what the format cannot hold.
+
+    Raises:
+        InputError: the file cannot be written, or not in pieces.
+        UsageError: the format has no such encoding.
+    """
+    path = Path(path)
+    known, first = _writable(path, format)[0], next(pieces)
+    write_rows = check_pieces(path, format=format)
+    try:
+        with atomic.atomic_write(path, overwrite=overwrite) as stream:
+            writer = write_rows(first, points, box, stream, _choose_encoding(first.source, known, encoding, path))
+            for piece in itertools.chain([first], pieces):
+                writer.write(piece)
+            warnings = writer.finish()
+    except InputError as error:
+        raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
+    return [f"{path}: {warning}" for warning in _losses(first, known) + warnings]
+
+
+def check_pieces(path: Path, *, format: str | None = None) -> Callable[..., RowWriter]:
+    """Find what writes a file in pieces.
+
+    Raises:
+        InputError: its format cannot be written so.
+    """
+    known = _writable(path, format)[0]
+    if known.write_rows is None or str(path) == STREAM:
+        able = " ".join(sorted(s for each in all_formats() if each.write_rows for s in each.suffixes))
+        what = "a stream" if str(path) == STREAM else f"a {known.name} file"
+        raise InputError(f"{path}: {what} is not written in pieces; {able} are")
+    return known.write_rows
 
 
 def write(

@@ -7,6 +7,8 @@ An .npy file holds one array: rows of x y z, perhaps with normals and more, (N, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +21,7 @@ from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, cloud_from_
 from jetnormal.formats.npz import load_all
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import to_storable
+from jetnormal.formats.streams import ROWS, CloudStream, RowWriter, SameLayout, from_table, memory_of
 from jetnormal.formats.text_columns import SKIPPED, Layout
 
 ENCODINGS = ("binary",)
@@ -66,6 +69,35 @@ def read(path: Path, *, columns: str | None = None, decimal: str | None = None) 
     return cloud_from_columns(found | rest, source, path)
 
 
+def stream(path: Path, *, columns: str | None = None, decimal: str | None = None) -> CloudStream:
+    """Open an .npy file to be read in pieces.
+
+    Raises:
+        InputError: the file is damaged, or holds no points.
+        UsageError: `columns` do not fit the file.
+    """
+    if decimal is not None:
+        raise UsageError(f"{path}: `decimal` is for text files")
+    layout = Layout.parse(columns)
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except ValueError as error:
+        raise InputError(f"{path}: is no array of numbers that can be read in pieces ({error})") from None
+    source, table = _as_rows(array, path)
+    if table.dtype.names:
+        return from_table(table, source, path)
+    names, notes = layout.apply(None, list(table[:ROWS].T), ".npy", path)
+    source = replace(source, notes=notes)
+
+    def pieces(rows: int) -> Iterator[Cloud]:
+        for start in range(0, max(1, len(table)), rows):
+            piece = np.array(table[start : start + rows])
+            found = {name: values for name, values in zip(names, piece.T, strict=True) if name != SKIPPED}
+            yield cloud_from_columns(found, source, path)
+
+    return CloudStream(len(table), memory_of(next(pieces(1))), pieces)
+
+
 def _as_rows(array: NDArray[Any], path: Path) -> tuple[Source, NDArray[Any]]:
     """Points as rows (N, c) or records (N,); the source tells the shape of a grid."""
     grid = array.ndim - (array.dtype.names is None)
@@ -93,19 +125,50 @@ def write_npy(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     Returns:
         What could not be kept.
     """
-    columns, warnings = _columns(cloud)
-    table: NDArray[Any]
-    if cloud.attributes:
-        table = np.empty(len(cloud), [(name, values.dtype, values.shape[1:]) for name, values in columns.items()])
-        for name, values in columns.items():
-            table[name] = values
-    else:
-        table = np.stack([columns[name] for name in (*COORDINATES, *NORMALS) if name in columns], axis=1)
-    width, height = cloud.source.width or 0, cloud.source.height or 0
-    if cloud.source.format == "numpy" and height > 1 and width * height == len(cloud):
-        table = table.reshape(height, width, *table.shape[1:])
-    np.lib.format.write_array(stream, table, allow_pickle=False)
-    return warnings
+    writer = _Rows(len(cloud), stream)
+    writer.write(cloud)
+    return writer.finish()
+
+
+def write_rows(first: Cloud, points: int, box: NDArray[np.float64], stream: BinaryIO, encoding: str) -> RowWriter:
+    """Begin an .npy file of so many points."""
+    return _Rows(points, stream)
+
+
+class _Rows:
+    """Writes the rows of an array behind its header."""
+
+    def __init__(self, points: int, stream: BinaryIO) -> None:
+        self._points, self._stream = points, stream
+        self._layout = SameLayout()
+        self._warnings: list[str] | None = None
+
+    def write(self, cloud: Cloud) -> None:
+        """Append points; the header precedes the first ones."""
+        columns, warnings = _columns(cloud)
+        self._layout.check(columns, warnings)
+        table: NDArray[Any]
+        if cloud.attributes:
+            table = np.empty(len(cloud), [(name, values.dtype, values.shape[1:]) for name, values in columns.items()])
+            for name, values in columns.items():
+                table[name] = values
+        else:
+            table = np.stack([columns[name] for name in (*COORDINATES, *NORMALS) if name in columns], axis=1)
+        if self._warnings is None:
+            self._warnings = warnings
+            shape = (*self._shape(cloud.source), *table.shape[1:])
+            header = {"descr": np.lib.format.dtype_to_descr(table.dtype), "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_1_0(self._stream, header)
+        self._stream.write(np.ascontiguousarray(table).tobytes())
+
+    def _shape(self, source: Source) -> tuple[int, ...]:
+        width, height = source.width or 0, source.height or 0
+        is_grid = source.format == "numpy" and height > 1 and width * height == self._points
+        return (height, width) if is_grid else (self._points,)
+
+    def finish(self) -> list[str]:
+        """Nothing follows the rows."""
+        return self._warnings or []
 
 
 def write_npz(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
@@ -148,7 +211,7 @@ def read_kitti(path: Path) -> Cloud:
 
 
 FORMATS = (
-    Format("numpy", (".npy",), read, write_npy, ENCODINGS, has_columns=True),
+    Format("numpy", (".npy",), read, write_npy, ENCODINGS, has_columns=True, stream=stream, write_rows=write_rows),
     Format("numpy", (".npz",), read, write_npz, ENCODINGS, has_columns=True),
     Format("kitti", (), read_kitti, None, ENCODINGS),
 )

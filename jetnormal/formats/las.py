@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import logging
 import struct
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
@@ -33,6 +34,7 @@ from jetnormal.formats.columns import (
 )
 from jetnormal.formats.registry import Format, library, library_errors
 from jetnormal.formats.storage import COLORS, to_storable
+from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, memory_of
 
 ENCODINGS = ("binary",)
 
@@ -91,6 +93,35 @@ def read(path: Path) -> Cloud:
     Raises:
         InputError: the file is no LAS file, is damaged, or laspy is missing.
     """
+    with _opened(path) as (reader, source):
+        chunks = list(_read_points(reader, _CHUNK, path))
+    columns = {name: np.concatenate([chunk.pop(name) for chunk in chunks]) for name in list(chunks[0])}
+    return cloud_from_columns(columns, source, path)
+
+
+def stream(path: Path) -> CloudStream:
+    """Open a LAS, LAZ or COPC file to be read in pieces.
+
+    Raises:
+        InputError: as `read`.
+    """
+
+    def pieces(rows: int) -> Iterator[Cloud]:
+        with _opened(path) as (reader, source):
+            for columns in _read_points(reader, rows, path):
+                yield cloud_from_columns(columns, source, path)
+
+    return CloudStream(_opened_count(path), memory_of(next(pieces(1))), pieces)
+
+
+def _opened_count(path: Path) -> int:
+    with _opened(path) as (reader, _):
+        return int(reader.header.point_count)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Source]]:
+    """laspy's reader of a file, and what the file says about itself."""
     with path.open("rb") as stream:
         if stream.read(4) != b"LASF":
             raise InputError(f"{path}: does not begin with 'LASF'; is this a LAS file?")
@@ -104,15 +135,14 @@ def read(path: Path) -> Cloud:
                 _check_size(reader.header, path)
                 if reader.header.are_points_compressed:
                     _check_chunks(stream, reader.header.offset_to_point_data, path)
-                columns = _read_points(reader, path)
-                header = deepcopy(reader.header)
-    notes: tuple[str, ...] = ()
-    if header.are_points_compressed and header.point_format.id in _WITHOUT_WAVES:
-        columns = {name: values for name, values in columns.items() if name not in _WAVES}
-        notes = ("the wave packets, which the LAZ library reads wrongly, are left out",)
+                yield reader, _source(reader.header, records, late, path)
+
+
+def _source(original: Any, records: tuple[Record, ...], late: tuple[Record, ...], path: Path) -> Source:
+    header = deepcopy(original)
     header.vlrs.clear()
     header.evlrs = None
-    names = canonical_names(columns.keys(), path)
+    names = canonical_names((*COORDINATES, *header.point_format.dimension_names), path)
     extra = LasExtra(
         header,
         tuple(record for record in records if (record.user, record.number) != _LASZIP),
@@ -120,8 +150,12 @@ def read(path: Path) -> Cloud:
         {canonical: name for name, canonical in names.items() if canonical in NORMALS},
         copc=any(record.user == "copc" for record in records),
     )
-    source = Source(format="las", encoding="binary", extra=extra, notes=notes)
-    return cloud_from_columns(columns, source, path)
+    notes = ("the wave packets, which the LAZ library reads wrongly, are left out",) if _loses_waves(header) else ()
+    return Source(format="las", encoding="binary", extra=extra, notes=notes)
+
+
+def _loses_waves(header: Any) -> bool:
+    return bool(header.are_points_compressed and header.point_format.id in _WITHOUT_WAVES)
 
 
 def _laspy(path: Path | str) -> Any:
@@ -178,19 +212,20 @@ def _check_chunks(stream: BinaryIO, start: int, path: Path) -> None:
     stream.seek(position)
 
 
-def _read_points(reader: Any, path: Path) -> Columns:
-    """The coordinates and every other dimension, in its order."""
-    names = [name for name in reader.header.point_format.dimension_names if name not in ("X", "Y", "Z")]
-    chunks = []
-    for record in reader.chunk_iterator(_CHUNK):
-        chunks.append({name: np.array(record[name]) for name in (*COORDINATES, *names)})
-    found = sum(len(chunk["x"]) for chunk in chunks)
-    if found != reader.header.point_count:
-        raise InputError(f"{path}: declares {reader.header.point_count} points but holds {found}; it is truncated")
-    if not chunks:
+def _read_points(reader: Any, rows: int, path: Path) -> Iterator[Columns]:
+    """The coordinates and every other dimension, in its order, so many rows at a time and at least once."""
+    header = reader.header
+    left_out = ("X", "Y", "Z", *(_WAVES if _loses_waves(header) else ()))
+    names = [*COORDINATES, *(name for name in header.point_format.dimension_names if name not in left_out)]
+    found = 0
+    for record in reader.chunk_iterator(rows):
+        found += len(record)
+        yield {name: np.array(record[name]) for name in names}
+    if found != header.point_count:
+        raise InputError(f"{path}: declares {header.point_count} points but holds {found}; it is truncated")
+    if not found:
         empty = reader.read_points(0)
-        chunks.append({name: np.array(empty[name]) for name in (*COORDINATES, *names)})
-    return {name: np.concatenate([chunk.pop(name) for chunk in chunks]) for name in (*COORDINATES, *names)}
+        yield {name: np.array(empty[name]) for name in names}
 
 
 def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, compress: bool) -> list[str]:
@@ -203,47 +238,128 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, compress: bool) -> l
     Returns:
         What could not be kept.
     """
-    laspy = _laspy("LAS output")
-    rows = np.flatnonzero(cloud.valid)
-    warnings = []
-    if len(rows) < len(cloud):
-        warnings.append(f"{len(cloud) - len(rows)} points without finite coordinates cannot be held and are left out")
-    extra = cloud.source.extra if isinstance(cloud.source.extra, LasExtra) else None
-    spelling = extra.spelling if extra else {}
-    normal_names = tuple(spelling.get(name, new) for name, new in zip(NORMALS, _NORMALS, strict=True))
-    columns, renamed = columns_from_cloud(cloud, normal_names, np.dtype(np.float32))
-    points = cloud.points[rows]
-    columns = {name: values[rows] for name, values in columns.items() if name not in COORDINATES}
-    header = deepcopy(extra.header) if extra else _new_header(laspy, points, columns)
-    if compress and header.point_format.id in _WITHOUT_WAVES:
-        warnings.append(f"point format {header.point_format.id} is not written; any wave packets are extra dimensions")
-        _leave_waves_out(laspy, header)
-    standard, others, changed = _sort_columns(columns, header.point_format, is_new=extra is None)
-    others, converted = to_storable(others, frozenset(_TYPES), vectors=False)
-    added = _declare(laspy, header, others)
-    table = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
-    for axis, name in enumerate("XYZ"):
-        scale, offset = header.scales[axis], header.offsets[axis]
-        table[name], exact = _to_integers(points[:, axis], scale, offset, cloud.source.point_dtype)
-        if not exact:
-            warnings.append(f"{name.lower()} is rounded to multiples of {header.scales[axis]:g}")
-    if extra is None and "return_number" not in standard:
-        standard |= dict.fromkeys(("return_number", "number_of_returns"), np.ones(len(points), np.uint8))
-    for name, values in [*standard.items(), *zip(added, others.values(), strict=True)]:
-        table[name] = values
-    with library_errors("LAS output", "laspy"):
-        warnings += _write_file(laspy, header, table, extra, stream, compress)
-    return warnings + renamed + changed + converted
+    points = cloud.points[cloud.valid]
+    offsets = np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
+    writer = _Rows(cloud, offsets, [_decimal_scale(values) for values in (points - offsets).T], stream, compress)
+    writer.write(cloud)
+    return writer.finish()
 
 
-def _new_header(laspy: Any, points: NDArray[np.float64], columns: Columns) -> Any:
+def write_rows(
+    first: Cloud, points: int, box: NDArray[np.float64], stream: BinaryIO, encoding: str, *, compress: bool
+) -> RowWriter:
+    """Begin a LAS or LAZ file; a cloud of another format gets the finest decimal scale that `box` allows."""
+    offsets = np.floor(box[0])
+    return _Rows(first, offsets, [_finest_scale(float(largest)) for largest in box[1] - offsets], stream, compress)
+
+
+class _Rows:
+    """Writes rows behind a header; offsets and scales are for clouds that do not come from LAS."""
+
+    def __init__(
+        self, first: Cloud, offsets: NDArray[np.float64], scales: list[float], stream: BinaryIO, compress: bool
+    ) -> None:
+        self._laspy = _laspy("LAS output")
+        self._extra = first.source.extra if isinstance(first.source.extra, LasExtra) else None
+        self._stream, self._compress = stream, compress
+        self._header: Any = deepcopy(self._extra.header) if self._extra else None
+        self._new = offsets, scales
+        self._layout = SameLayout()
+        self._added: list[str] = []
+        self._late: list[Record] = []
+        self._sorted_by: Any = None
+        self._writer: Any = None
+        self._left_out = 0
+        self._rounded: list[str] = []
+        self._warnings: list[str] = []
+
+    def write(self, cloud: Cloud) -> None:
+        """Append the points that have finite coordinates."""
+        rows = np.flatnonzero(cloud.valid)
+        self._left_out += len(cloud) - len(rows)
+        spelling = self._extra.spelling if self._extra else {}
+        normal_names = tuple(spelling.get(name, new) for name, new in zip(NORMALS, _NORMALS, strict=True))
+        columns, renamed = columns_from_cloud(cloud, normal_names, np.dtype(np.float32))
+        columns = {name: values[rows] for name, values in columns.items() if name not in COORDINATES}
+        if self._header is None:
+            self._header = _new_header(self._laspy, *self._new, columns)
+        standard, others, changed = _sort_columns(columns, self._point_format(), is_new=self._extra is None)
+        others, converted = to_storable(others, frozenset(_TYPES), vectors=False)
+        self._layout.check(others, renamed + changed + converted)
+        if self._writer is None:
+            self._begin(others)
+            self._warnings += renamed + changed + converted
+        table = self._laspy.ScaleAwarePointRecord.zeros(len(rows), header=self._header)
+        self._set_coordinates(table, cloud.points[rows], cloud.source.point_dtype)
+        if self._extra is None and "return_number" not in standard:
+            standard |= dict.fromkeys(("return_number", "number_of_returns"), np.ones(len(rows), np.uint8))
+        for name, values in [*standard.items(), *zip(self._added, others.values(), strict=True)]:
+            table[name] = values
+        with library_errors("LAS output", "laspy"):
+            self._writer.write_points(table)
+
+    def _point_format(self) -> Any:
+        """The point format without the dimensions that were added: what is there is sorted anew for each piece."""
+        if self._compress and self._writer is None and self._header.point_format.id in _WITHOUT_WAVES:
+            number = self._header.point_format.id
+            self._warnings.append(f"point format {number} is not written; any wave packets are extra dimensions")
+            _leave_waves_out(self._laspy, self._header)
+        if self._writer is None:
+            self._sorted_by = deepcopy(self._header.point_format)
+        return self._sorted_by
+
+    def _begin(self, others: Columns) -> None:
+        """Write the header."""
+        self._added = _declare(self._laspy, self._header, others)
+        records, self._late = _records_to_write(self._extra, self._header)
+        if self._extra and any((record.user, record.number) == _WAVEFORMS for record in self._extra.late_records):
+            self._header.start_of_waveform_data_packet_record = 0
+        self._header.vlrs.extend(_as_vlr(self._laspy, record) for record in records)
+        with library_errors("LAS output", "laspy"):
+            self._writer = self._laspy.LasWriter(
+                self._stream, self._header, do_compress=self._compress, closefd=False, encoding_errors="ignore"
+            )
+
+    def _set_coordinates(self, table: Any, points: NDArray[np.float64], dtype: np.dtype[Any]) -> None:
+        for axis, name in enumerate("XYZ"):
+            scale, offset = self._header.scales[axis], self._header.offsets[axis]
+            table[name], exact = _to_integers(points[:, axis], scale, offset, dtype)
+            rounded = f"{name.lower()} is rounded to multiples of {scale:g}"
+            if not exact and rounded not in self._rounded:
+                self._rounded.append(rounded)
+
+    def finish(self) -> list[str]:
+        """Write what follows the points, and what the header says of all of them."""
+        laspy, extra, writer = self._laspy, self._extra, self._writer
+        with library_errors("LAS output", "laspy"):
+            if self._late:
+                writer.write_evlrs(laspy.vlrs.vlrlist.VLRList([_as_vlr(laspy, record) for record in self._late]))
+            if extra:
+                given, found = ([header.mins, header.maxs] for header in (extra.header, writer.header))
+                if np.allclose(given, found, rtol=0, atol=extra.header.scales / 2):
+                    writer.header.mins, writer.header.maxs = given  # as exact as they were
+            writer.close()
+            _write_legacy_counts(self._stream, writer.header)
+        warnings = []
+        if self._left_out:
+            warnings.append(f"{self._left_out} points without finite coordinates cannot be held and are left out")
+        warnings += self._rounded
+        if extra and extra.copc:
+            warnings.append(
+                "is written as plain LAZ, not as COPC: the points keep their order, their octree is not kept"
+            )
+        if extra and any((record.user, record.number) == _WAVEFORMS for record in extra.late_records):
+            warnings.append("the waveforms are not kept")
+        return warnings + self._warnings
+
+
+def _new_header(laspy: Any, offsets: NDArray[np.float64], scales: list[float], columns: Columns) -> Any:
     is_colored = all(name in columns for name in COLORS)
     header = laspy.LasHeader(version="1.4", point_format=7 if is_colored else 6)
     header.global_encoding.wkt = True  # the standard wants it for these point formats
     header.creation_date = None  # the same cloud gives the same bytes on any day
     header.generating_software = "jetnormal"
-    header.offsets = np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
-    header.scales = np.array([_decimal_scale(points[:, axis] - header.offsets[axis]) for axis in range(3)])
+    header.offsets, header.scales = offsets, np.array(scales)
     return header
 
 
@@ -256,16 +372,26 @@ def _leave_waves_out(laspy: Any, header: Any) -> None:
 
 def _decimal_scale(values: NDArray[np.float64]) -> float:
     """The coarsest power of ten of which all are multiples; else the finest that 31 bits allow."""
-    largest = float(np.abs(values).max(initial=0))
-    exponent = 0
-    while largest / 10.0**-exponent > _LARGEST:
-        exponent -= 1
-    while exponent < _FINEST_SCALE and largest * 10.0 ** (exponent + 1) <= _LARGEST:
-        scaled = values * 10.0**exponent
+    finest = _finest_scale(float(np.abs(values).max(initial=0)))
+    scale = max(1.0, finest)
+    while scale > finest:
+        scaled = values / scale
         if np.abs(scaled - np.rint(scaled)).max(initial=0) < 1e-4:
             break
+        scale = _power_of_ten(round(np.log10(scale)) - 1)
+    return scale
+
+
+def _finest_scale(largest: float) -> float:
+    """The finest power of ten of which `largest` is a multiple that fits 31 bits."""
+    exponent = -_FINEST_SCALE
+    while largest / _power_of_ten(exponent) > _LARGEST:
         exponent += 1
-    return float(f"1e{-exponent}")
+    return _power_of_ten(exponent)
+
+
+def _power_of_ten(exponent: int) -> float:
+    return float(f"1e{exponent}")
 
 
 def _to_integers(
@@ -355,30 +481,6 @@ def _declare(laspy: Any, header: Any, columns: Columns) -> list[str]:
     return names
 
 
-def _write_file(
-    laspy: Any, header: Any, table: Any, extra: LasExtra | None, stream: BinaryIO, compress: bool
-) -> list[str]:
-    warnings = []
-    records, late = _records_to_write(extra, header)
-    if extra and extra.copc:
-        warnings.append("is written as plain LAZ, not as COPC: the points keep their order, their octree is not kept")
-    if extra and any((record.user, record.number) == _WAVEFORMS for record in extra.late_records):
-        header.start_of_waveform_data_packet_record = 0
-        warnings.append("the waveforms are not kept")
-    header.vlrs.extend(_as_vlr(laspy, record) for record in records)
-    writer = laspy.LasWriter(stream, header, do_compress=compress, closefd=False, encoding_errors="ignore")
-    writer.write_points(table)
-    if late:
-        writer.write_evlrs(laspy.vlrs.vlrlist.VLRList([_as_vlr(laspy, record) for record in late]))
-    if extra:
-        given, found = ([header.mins, header.maxs] for header in (extra.header, writer.header))
-        if np.allclose(given, found, rtol=0, atol=extra.header.scales / 2):
-            writer.header.mins, writer.header.maxs = given  # as exact as they were
-    writer.close()
-    _write_legacy_counts(stream, writer.header)
-    return warnings
-
-
 def _write_legacy_counts(stream: BinaryIO, header: Any) -> None:
     """Repeat the numbers of points where readers of version 1.3 look: laspy leaves them 0 in version 1.4."""
     if header.version.minor >= 4 and header.point_format.id < 6 and header.point_count <= 0xFFFFFFFF:
@@ -416,8 +518,8 @@ def _describe(dimension: Any) -> bytes:
 
 
 def _format(suffix: str, *, compress: bool) -> Format:
-    write_file: Callable[[Cloud, BinaryIO, str], list[str]] = partial(write, compress=compress)
-    return Format("las", (suffix,), read, write_file, ENCODINGS)
+    writers: Any = [partial(function, compress=compress) for function in (write, write_rows)]
+    return Format("las", (suffix,), read, writers[0], ENCODINGS, stream=stream, write_rows=writers[1])
 
 
 FORMATS = (_format(".las", compress=False), _format(".laz", compress=True))

@@ -20,6 +20,7 @@ from jetnormal.formats import lzf
 from jetnormal.formats.columns import Columns, UniqueNames, cloud_from_columns, columns_from_cloud
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import pack_colors, to_storable
+from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_table, mapped
 from jetnormal.formats.table import format_rows, read_table
 
 ENCODINGS = ("binary", "binary_compressed", "ascii")
@@ -71,7 +72,26 @@ def read(path: Path) -> Cloud:
         else:
             columns = _read_compressed(stream, header, size, path)
     columns = {name: values for name, values in columns.items() if name not in header.padding}
-    source = Source(
+    return cloud_from_columns(columns, _source(header), path)
+
+
+def stream(path: Path) -> CloudStream:
+    """Open a binary PCD file to be read in pieces.
+
+    Raises:
+        InputError: the file is text or compressed, or as `read`.
+    """
+    with path.open("rb") as file:
+        header = _read_header(file, path)
+        if header.encoding != "binary":
+            raise InputError(f"{path}: is not read in pieces: of PCD files, those with DATA binary are")
+        _check_size(header, header.points * header.dtype.itemsize, path.stat().st_size - file.tell(), path)
+        table = mapped(path, header.dtype, file.tell(), header.points)
+    return from_table(table, _source(header), path, header.padding)
+
+
+def _source(header: _Header) -> Source:
+    return Source(
         format="pcd",
         encoding=header.encoding,
         comments=header.comments,
@@ -79,7 +99,6 @@ def read(path: Path) -> Cloud:
         width=header.width,
         height=header.height,
     )
-    return cloud_from_columns(columns, source, path)
 
 
 def _read_header(stream: BinaryIO, path: Path) -> _Header:
@@ -200,22 +219,55 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     Returns:
         What could not be kept.
     """
-    columns, warnings = columns_from_cloud(cloud, _NORMALS, np.dtype(np.float32))
-    if cloud.source.format != "pcd":
-        columns = pack_colors(columns)
-    columns, changed = to_storable(columns, _TYPES, vectors=True)
-    if "_" in columns:  # which means padding
-        free = UniqueNames(columns).add("column")
-        columns = {free if name == "_" else name: values for name, values in columns.items()}
-        changed.append(f"attribute '_' is written as {free!r}")
-    if cloud.normals is not None and cloud.source.normal_dtype is None:
-        columns = _with_curvature(columns, len(cloud))
-    if encoding == "ascii":
-        columns = {name: _printable_color(name, values) for name, values in columns.items()}
-    stream.write(_header_text(cloud, columns, encoding).encode("utf-8", "surrogateescape"))
-    for chunk in _body(columns, encoding):
-        stream.write(chunk)
-    return warnings + changed
+    writer = _Rows(len(cloud), stream, encoding)
+    writer.write(cloud)
+    return writer.finish()
+
+
+def write_rows(first: Cloud, points: int, box: NDArray[np.float64], stream: BinaryIO, encoding: str) -> RowWriter:
+    """Begin a PCD file of so many points, binary or ascii.
+
+    Raises:
+        InputError: the encoding is binary_compressed, which packs a whole cloud field by field.
+    """
+    if encoding == "binary_compressed":
+        raise InputError("a compressed PCD file is not written in pieces; choose the encoding 'binary'")
+    return _Rows(points, stream, encoding)
+
+
+class _Rows:
+    """Writes points behind a header."""
+
+    def __init__(self, points: int, stream: BinaryIO, encoding: str) -> None:
+        self._points, self._stream, self._encoding = points, stream, encoding
+        self._layout = SameLayout()
+        self._warnings: list[str] | None = None
+
+    def write(self, cloud: Cloud) -> None:
+        """Append points; the header precedes the first ones."""
+        columns, warnings = columns_from_cloud(cloud, _NORMALS, np.dtype(np.float32))
+        if cloud.source.format != "pcd":
+            columns = pack_colors(columns)
+        columns, changed = to_storable(columns, _TYPES, vectors=True)
+        if "_" in columns:  # which means padding
+            free = UniqueNames(columns).add("column")
+            columns = {free if name == "_" else name: values for name, values in columns.items()}
+            changed.append(f"attribute '_' is written as {free!r}")
+        if cloud.normals is not None and cloud.source.normal_dtype is None:
+            columns = _with_curvature(columns, len(cloud))
+        if self._encoding == "ascii":
+            columns = {name: _printable_color(name, values) for name, values in columns.items()}
+        self._layout.check(columns, warnings + changed)
+        if self._warnings is None:
+            self._warnings = warnings + changed
+            header = _header_text(cloud.source, self._points, columns, self._encoding)
+            self._stream.write(header.encode("utf-8", "surrogateescape"))
+        for chunk in _body(columns, self._encoding):
+            self._stream.write(chunk)
+
+    def finish(self) -> list[str]:
+        """Nothing follows the points."""
+        return self._warnings or []
 
 
 def _with_curvature(columns: Columns, points: int) -> Columns:
@@ -235,13 +287,13 @@ def _printable_color(name: str, values: NDArray[Any]) -> NDArray[Any]:
     return values
 
 
-def _header_text(cloud: Cloud, columns: Columns, encoding: str) -> str:
-    width, height = cloud.source.width or 0, cloud.source.height or 0
-    if width * height != len(cloud):  # points were removed, or the format had no such thing
-        width, height = len(cloud), 1
+def _header_text(source: Source, points: int, columns: Columns, encoding: str) -> str:
+    width, height = source.width or 0, source.height or 0
+    if width * height != points:  # points were removed, or the format had no such thing
+        width, height = points, 1
     counts = [int(np.prod(values.shape[1:])) for values in columns.values()]
-    own_comments = cloud.source.format == "pcd"
-    comments = cloud.source.comments if own_comments else (_TITLE, *cloud.source.comments)
+    own_comments = source.format == "pcd"
+    comments = source.comments if own_comments else (_TITLE, *source.comments)
     lines = [f"# {comment}".rstrip() for comment in comments]
     lines += [
         "VERSION 0.7",
@@ -251,8 +303,8 @@ def _header_text(cloud: Cloud, columns: Columns, encoding: str) -> str:
         "COUNT " + " ".join(map(str, counts)),
         f"WIDTH {width}",
         f"HEIGHT {height}",
-        "VIEWPOINT " + " ".join(repr(v).removesuffix(".0") for v in cloud.source.viewpoint or IDENTITY),
-        f"POINTS {len(cloud)}",
+        "VIEWPOINT " + " ".join(repr(v).removesuffix(".0") for v in source.viewpoint or IDENTITY),
+        f"POINTS {points}",
         f"DATA {encoding}",
     ]
     return "\n".join(lines) + "\n"
@@ -277,4 +329,6 @@ def _body(columns: Columns, encoding: str) -> Iterator[bytes | memoryview]:
         yield struct.pack("<II", len(packed), len(fields)) + packed
 
 
-FORMATS = (Format("pcd", (".pcd",), read, write, ENCODINGS, keeps_viewpoint=True),)
+FORMATS = (
+    Format("pcd", (".pcd",), read, write, ENCODINGS, keeps_viewpoint=True, stream=stream, write_rows=write_rows),
+)

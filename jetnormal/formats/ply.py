@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
@@ -23,6 +24,7 @@ from jetnormal.formats.ply_header import BYTE_ORDERS, ENCODINGS, TYPE_NAMES, Ele
 from jetnormal.formats.ply_rows import format_element, read_element
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import to_storable, unpack_colors
+from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_table, mapped
 
 
 @dataclass(frozen=True)
@@ -61,36 +63,69 @@ def read(path: Path) -> Cloud:
         InputError: if the file is no PLY file, is damaged, or its vertices have no coordinates.
     """
     with path.open("rb") as stream:
-        header = read_header(stream, path)
-        names = [element.name for element in header.elements]
-        if names.count("vertex") != 1 or len(set(names)) != len(names):
-            raise InputError(f"{path}: must hold one element 'vertex', but holds {', '.join(names) or 'nothing'}")
-        size = path.stat().st_size - stream.tell()
-        needed = sum(element.smallest_size(header.encoding) for element in header.elements)
-        if needed > size + (header.encoding == "ascii"):  # the last line may lack its end
-            counts = ", ".join(f"{element.count} x {element.name}" for element in header.elements)
-            raise InputError(
-                f"{path}: declares {counts}, which need at least {needed} bytes, but {size} follow the "
-                "header; the file is truncated or its header is wrong"
-            )
-        vertex = header.elements[names.index("vertex")]
+        header, vertex = _read_header(stream, path)
         others = tuple(element for element in header.elements if element is not vertex)
-        trailing = 0
         if vertex is header.elements[0]:
             columns = read_element(stream, vertex, header.encoding, path, header.lines + 1)
-            body = stream.read()
-            size = _check_body(others, header.encoding, body, path, header.lines + 1 + vertex.count)
-            body, trailing = body[:size], len(body) - size
+            body, trailing = _read_body(stream, header, others, path)
         else:
             parsed = _parse(stream, header.elements, header.encoding, path, header.lines + 1)
             columns = parsed.pop("vertex")
             body = _format(parsed, others, header.encoding)
             trailing = len(stream.read()) if header.encoding != "ascii" else 0
+    return cloud_from_columns(columns, _source(header, vertex, others, body, trailing, path), path)
+
+
+def stream(path: Path) -> CloudStream:
+    """Open a PLY file to be read in pieces: one whose vertices come first and have no lists.
+
+    Raises:
+        InputError: the file is none of these, or as `read`.
+    """
+    with path.open("rb") as file:
+        header, vertex = _read_header(file, path)
+        if vertex is not header.elements[0] or not vertex.is_scalar or header.encoding == "ascii":
+            raise InputError(
+                f"{path}: is not read in pieces (it is text, has lists, or vertices behind other elements)"
+            )
+        table = mapped(path, vertex.dtype(header.encoding), file.tell(), vertex.count)
+        file.seek(table.nbytes, io.SEEK_CUR)
+        others = header.elements[1:]
+        body, trailing = _read_body(file, header, others, path)
+    return from_table(table, _source(header, vertex, others, body, trailing, path), path)
+
+
+def _read_header(stream: BinaryIO, path: Path) -> tuple[Header, Element]:
+    """The header and the element of the vertices; the rows that it tells of fit the size of the file."""
+    header = read_header(stream, path)
+    names = [element.name for element in header.elements]
+    if names.count("vertex") != 1 or len(set(names)) != len(names):
+        raise InputError(f"{path}: must hold one element 'vertex', but holds {', '.join(names) or 'nothing'}")
+    size = path.stat().st_size - stream.tell()
+    needed = sum(element.smallest_size(header.encoding) for element in header.elements)
+    if needed > size + (header.encoding == "ascii"):  # the last line may lack its end
+        counts = ", ".join(f"{element.count} x {element.name}" for element in header.elements)
+        raise InputError(
+            f"{path}: declares {counts}, which need at least {needed} bytes, but {size} follow the "
+            "header; the file is truncated or its header is wrong"
+        )
+    return header, header.elements[names.index("vertex")]
+
+
+def _read_body(stream: BinaryIO, header: Header, others: Sequence[Element], path: Path) -> tuple[bytes, int]:
+    """The rows behind the vertices, and how many bytes follow them."""
+    body = stream.read()
+    size = _check_body(others, header.encoding, body, path, header.lines + 1 + header.elements[0].count)
+    return body[:size], len(body) - size
+
+
+def _source(
+    header: Header, vertex: Element, others: tuple[Element, ...], body: bytes, trailing: int, path: Path
+) -> Source:
     lengths = {prop.name: prop.length_type for prop in vertex.properties if prop.length_type}
     extra = PlyExtra(header.object_info, others, header.encoding, body, lengths, vertex.count, path, header.lines)
     notes = (f"{trailing} bytes behind the last element are left out",) if trailing else ()
-    source = Source(format="ply", encoding=header.encoding, comments=header.comments, extra=extra, notes=notes)
-    return cloud_from_columns(columns, source, path)
+    return Source(format="ply", encoding=header.encoding, comments=header.comments, extra=extra, notes=notes)
 
 
 def _check_body(elements: Sequence[Element], encoding: str, body: bytes, path: Path, line: int) -> int:
@@ -151,27 +186,62 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     Returns:
         What could not be kept.
     """
-    floating = cloud.source.point_dtype.kind == "f"
-    columns, warnings = columns_from_cloud(
-        cloud, NORMALS, cloud.source.point_dtype if floating else np.dtype(np.float32)
-    )
-    if cloud.source.format == "pcd":
-        columns = unpack_colors(columns)
-    extra = cloud.source.extra if isinstance(cloud.source.extra, PlyExtra) else None
-    columns, changed = to_storable(columns, frozenset((*TYPE_NAMES, "O")), vectors=False)
-    elements, tail = (extra.elements, extra.body) if extra else ((), b"")
-    if extra and elements and len(cloud) != extra.points:
-        warnings.append(f"{describe_elements(elements)} would refer to points that are gone and is not kept")
-        elements, tail = (), b""
-    elif extra and elements and encoding != extra.encoding:
-        tail = _transcode(extra, encoding)
-    vertex = _vertex_element(columns, extra.length_types if extra else {})
-    object_info = extra.object_info if extra else ()
-    stream.write(Header(encoding, (vertex, *elements), cloud.source.comments, object_info).encode())
-    for chunk in format_element(columns, vertex, encoding):
-        stream.write(chunk)
-    stream.write(tail)
-    return warnings + changed
+    writer = _Rows(len(cloud), stream, encoding)
+    writer.write(cloud)
+    return writer.finish()
+
+
+def write_rows(first: Cloud, points: int, box: NDArray[np.float64], stream: BinaryIO, encoding: str) -> RowWriter:
+    """Begin a PLY file of so many points."""
+    return _Rows(points, stream, encoding)
+
+
+class _Rows:
+    """Writes vertices behind a header, and the other elements of the input behind them."""
+
+    def __init__(self, points: int, stream: BinaryIO, encoding: str) -> None:
+        self._points, self._stream, self._encoding = points, stream, encoding
+        self._layout = SameLayout()
+        self._vertex: Element | None = None
+        self._warnings: list[str] = []
+        self._tail = b""
+
+    def write(self, cloud: Cloud) -> None:
+        """Append vertices; the header precedes the first ones."""
+        floating = cloud.source.point_dtype.kind == "f"
+        columns, warnings = columns_from_cloud(
+            cloud, NORMALS, cloud.source.point_dtype if floating else np.dtype(np.float32)
+        )
+        if cloud.source.format == "pcd":
+            columns = unpack_colors(columns)
+        columns, changed = to_storable(columns, frozenset((*TYPE_NAMES, "O")), vectors=False)
+        self._layout.check(columns, warnings + changed)
+        if self._vertex is None:
+            self._begin(cloud.source, columns)
+            self._warnings = warnings + self._warnings + changed
+        assert self._vertex is not None
+        rows = replace(self._vertex, count=len(cloud))
+        for chunk in format_element(columns, rows, self._encoding):
+            self._stream.write(chunk)
+
+    def _begin(self, source: Source, columns: Columns) -> None:
+        extra = source.extra if isinstance(source.extra, PlyExtra) else None
+        elements, self._tail = (extra.elements, extra.body) if extra else ((), b"")
+        if extra and elements and self._points != extra.points:
+            gone = f"{describe_elements(elements)} would refer to points that are gone and is not kept"
+            self._warnings.append(gone)
+            elements, self._tail = (), b""
+        elif extra and elements and self._encoding != extra.encoding:
+            self._tail = _transcode(extra, self._encoding)
+        self._vertex = _vertex_element(columns, self._points, extra.length_types if extra else {})
+        object_info = extra.object_info if extra else ()
+        header = Header(self._encoding, (self._vertex, *elements), source.comments, object_info)
+        self._stream.write(header.encode())
+
+    def finish(self) -> list[str]:
+        """Write the other elements."""
+        self._stream.write(self._tail)
+        return self._warnings
 
 
 def describe_elements(elements: Sequence[Element]) -> str:
@@ -179,7 +249,7 @@ def describe_elements(elements: Sequence[Element]) -> str:
     return ", ".join(f"element {element.name!r} ({element.count} rows)" for element in elements)
 
 
-def _vertex_element(columns: Columns, length_types: dict[str, str]) -> Element:
+def _vertex_element(columns: Columns, points: int, length_types: dict[str, str]) -> Element:
     properties = []
     for name, values in columns.items():
         if values.dtype != object:
@@ -191,7 +261,7 @@ def _vertex_element(columns: Columns, length_types: dict[str, str]) -> Element:
             length_type = "u4"
         kinds = {np.asarray(row).dtype.newbyteorder("=") for row in values}
         properties.append(Property(name, np.result_type(*kinds).str[1:] if kinds else "f4", length_type))
-    return Element("vertex", len(columns["x"]), tuple(properties))
+    return Element("vertex", points, tuple(properties))
 
 
-FORMATS = (Format("ply", (".ply",), read, write, ENCODINGS),)
+FORMATS = (Format("ply", (".ply",), read, write, ENCODINGS, stream=stream, write_rows=write_rows),)

@@ -24,8 +24,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import BinaryIO
 
+import numpy as np
+from numpy.typing import NDArray
+
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, JetnormalError
+from jetnormal.formats.streams import CloudStream, RowWriter
 from jetnormal.support.streams import STREAM
 
 
@@ -41,6 +45,9 @@ class Format:
         encodings: the first is the default.
         keeps_viewpoint: whether it has a place for `Source.viewpoint`.
         has_columns: whether the user may say what the columns mean.
+        stream: opens a file to be read in pieces, with the arguments of `read`; None if that cannot be done.
+        write_rows: first piece of a cloud, rows in all, their box (2, 3), stream, encoding -> what appends pieces, the
+            first included; None if that cannot be done. It raises `InputError` for an encoding that needs all at once.
     """
 
     name: str
@@ -50,6 +57,8 @@ class Format:
     encodings: tuple[str, ...]
     keeps_viewpoint: bool = False
     has_columns: bool = False
+    stream: Callable[..., CloudStream] | None = None
+    write_rows: Callable[[Cloud, int, NDArray[np.float64], BinaryIO, str], RowWriter] | None = None
 
 
 CONVERSIONS = {

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -32,6 +33,7 @@ from jetnormal.formats.columns import (
 )
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import COLORS, to_storable, unpack_colors
+from jetnormal.formats.streams import CloudStream, RowWriter
 from jetnormal.formats.table import format_rows, read_table
 from jetnormal.formats.text_columns import SKIPPED, Layout, are_bytes, by_position, guess_names
 from jetnormal.formats.text_header import Preamble, is_number, read_preamble
@@ -82,22 +84,39 @@ def read(path: Path, *, suffix: str, columns: str | None = None, decimal: str | 
         InputError: if the file is empty or is no such text.
         UsageError: if `columns` or `decimal` make no sense, or do not fit the file.
     """
-    layout = Layout.parse(columns)
-    if decimal not in (None, "point", "comma"):
-        raise UsageError(f"the decimal sign is point or comma, not {decimal!r}")
+    layout = _layout(columns, decimal)
     with _open(path) as stream:
-        preamble = read_preamble(stream, path, decimal)
-        if not preamble.columns and not preamble.names and preamble.count != 0:
-            raise InputError(f"{path}: holds no points; is this the right file?")
-        if preamble.columns and preamble.columns > MOST_COLUMNS:
-            raise InputError(
-                f"{path}: {preamble.columns:,} columns, more than {MOST_COLUMNS:,}; is this the right file?"
-            )
+        preamble = _read_preamble(stream, path, decimal)
         numbers, comments = _read_rows(stream, preamble, path)
-    if preamble.count not in (None, len(numbers[0])):
-        raise InputError(f"{path}: declares {preamble.count} points but holds {len(numbers[0])}; is it truncated?")
+    _check_count(preamble, len(numbers[0]), path)
     names, notes = layout.apply(preamble.names, numbers, suffix, path)
     spelling, found = _name_columns(names, preamble.names, numbers, path)
+    return cloud_from_columns(found, _source(preamble, comments, spelling, notes, suffix), path)
+
+
+def _layout(columns: str | None, decimal: str | None) -> Layout:
+    if decimal not in (None, "point", "comma"):
+        raise UsageError(f"the decimal sign is point or comma, not {decimal!r}")
+    return Layout.parse(columns)
+
+
+def _read_preamble(stream: BinaryIO, path: Path, decimal: str | None) -> Preamble:
+    preamble = read_preamble(stream, path, decimal)
+    if not preamble.columns and not preamble.names and preamble.count != 0:
+        raise InputError(f"{path}: holds no points; is this the right file?")
+    if preamble.columns and preamble.columns > MOST_COLUMNS:
+        raise InputError(f"{path}: {preamble.columns:,} columns, more than {MOST_COLUMNS:,}; is this the right file?")
+    return preamble
+
+
+def _check_count(preamble: Preamble, found: int, path: Path) -> None:
+    if preamble.count not in (None, found):
+        raise InputError(f"{path}: declares {preamble.count} points but holds {found}; is it truncated?")
+
+
+def _source(
+    preamble: Preamble, comments: list[tuple[str, str]], spelling: dict[str, str], notes: tuple[str, ...], suffix: str
+) -> Source:
     comments = preamble.comments + comments
     style = Style(
         suffix=suffix,
@@ -108,8 +127,56 @@ def read(path: Path, *, suffix: str, columns: str | None = None, decimal: str | 
         spelling=spelling,
     )
     texts = tuple(text for _, text in comments)
-    source = Source(format="xyz", encoding="ascii", comments=texts, extra=style, notes=notes)
-    return cloud_from_columns(found, source, path)
+    return Source(format="xyz", encoding="ascii", comments=texts, extra=style, notes=notes)
+
+
+def stream(path: Path, *, suffix: str, columns: str | None = None, decimal: str | None = None) -> CloudStream:
+    """Open rows of numbers to be read in pieces, after one look at all of them: it tells the columns' types.
+
+    Args, Raises: as `read`. It is an `InputError` if parts of the file look as if they had other columns.
+    """
+    layout = _layout(columns, decimal)
+    with _open(path) as opened:
+        preamble = _read_preamble(opened, path, decimal)
+    points, comments, types = 0, [], {}  # type: ignore[var-annotated]
+    layouts = set()
+    for numbers, found_comments in _blocks(path, preamble):
+        names, notes = layout.apply(preamble.names, numbers, suffix, path)
+        spelling, found = _name_columns(names, preamble.names, numbers, path)
+        layouts.add((*names, *notes))
+        if len(layouts) > 1:
+            raise InputError(f"{path}: what the columns are is not the same in all of its parts; give `columns`")
+        points += len(numbers[0])
+        comments += found_comments
+        for name, values in found.items():
+            types[name] = np.result_type(types.get(name, values.dtype), values.dtype)
+    _check_count(preamble, points, path)
+    source = _source(preamble, comments, spelling, notes, suffix)
+
+    def pieces(rows: int) -> Iterator[Cloud]:
+        for numbers, _ in _blocks(path, preamble):
+            found = _name_columns(names, preamble.names, numbers, path)[1]
+            found = {name: values.astype(types[name]) for name, values in found.items()}
+            for start in range(0, max(1, len(numbers[0])), rows):
+                part = {name: values[start : start + rows] for name, values in found.items()}
+                yield cloud_from_columns(part, source, path)
+
+    return CloudStream(points, 8 * len(types), pieces)
+
+
+def _blocks(path: Path, preamble: Preamble) -> Iterator[tuple[list[NDArray[Any]], list[tuple[str, str]]]]:
+    """The columns of numbers, and the comments among them, some megabytes of whole lines at a time."""
+    with _open(path) as opened:
+        opened.seek(preamble.offset)
+        line = preamble.line
+        while text := opened.read(_PIECE):
+            text += opened.readline()
+            lines = text.count(b"\n")
+            piece = replace(preamble, offset=0, line=line)
+            numbers, comments = _read_rows(io.BytesIO(text), piece, path)
+            line += lines
+            if len(numbers[0]):
+                yield numbers, comments
 
 
 def _open(path: Path) -> BinaryIO:
@@ -224,32 +291,65 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str, *, suffix: str) -> list
     Returns:
         What could not be kept.
     """
-    columns, warnings = columns_from_cloud(cloud, NORMALS, np.dtype(np.float32))
-    if cloud.source.format == "pcd":
-        columns = unpack_colors(columns)
-    columns, changed = to_storable(columns, _TYPES, vectors=False)
-    style = cloud.source.extra
-    if isinstance(style, Style) and style.suffix == suffix:
-        stream.writelines(_encode(f"{style.marker}{comment}") for comment in cloud.source.comments)
-    else:
-        warnings += ["comments are not kept"] if cloud.source.comments else []
-        has_attributes = not set(columns) <= {*COORDINATES, *NORMALS}
-        style = _new_style(suffix, has_attributes)
-    header = style.header or ("plain" if suffix == ".csv" else "")
-    if not style.spelling or not style.header:
-        columns = {name: columns[name] for name in by_position(list(columns), suffix)}
-    if header:
-        spelled, respelled = _header_names(columns, style)
-        warnings += respelled
-        names = style.delimiter.join(spelled)
-        stream.write(_encode(names if header == "plain" else f"{header}{names}"))
-    elif _loses_names(columns, suffix):
-        warnings.append(f"the columns' names are not kept; they are {' '.join(columns)}")
-    if style.count_line:
-        stream.write(_encode(str(len(cloud))))
-    for chunk in format_rows(list(columns.values()), style.delimiter):
-        stream.write(chunk)
-    return warnings + changed
+    writer = _Rows(len(cloud), stream, suffix)
+    writer.write(cloud)
+    return writer.finish()
+
+
+def write_rows(
+    first: Cloud, points: int, box: NDArray[np.float64], stream: BinaryIO, encoding: str, *, suffix: str
+) -> RowWriter:
+    """Begin a text file of so many points."""
+    return _Rows(points, stream, suffix)
+
+
+class _Rows:
+    """Writes rows of numbers behind the lines that precede them."""
+
+    def __init__(self, points: int, stream: BinaryIO, suffix: str) -> None:
+        self._points, self._stream, self._suffix = points, stream, suffix
+        self._style: Style | None = None
+        self._warnings: list[str] = []
+
+    def write(self, cloud: Cloud) -> None:
+        """Append rows; what precedes them comes before the first."""
+        columns, renamed = columns_from_cloud(cloud, NORMALS, np.dtype(np.float32))
+        if cloud.source.format == "pcd":
+            columns = unpack_colors(columns)
+        columns, changed = to_storable(columns, _TYPES, vectors=False)
+        is_first = self._style is None
+        style = self._style = self._style or self._choose_style(cloud.source, columns)
+        if not style.spelling or not style.header:
+            columns = {name: columns[name] for name in by_position(list(columns), self._suffix)}
+        if is_first:
+            self._begin(columns, style)
+            self._warnings = renamed + self._warnings + changed
+        for chunk in format_rows(list(columns.values()), style.delimiter):
+            self._stream.write(chunk)
+
+    def _choose_style(self, source: Source, columns: Columns) -> Style:
+        style = source.extra
+        if isinstance(style, Style) and style.suffix == self._suffix:
+            self._stream.writelines(_encode(f"{style.marker}{comment}") for comment in source.comments)
+            return style
+        self._warnings += ["comments are not kept"] if source.comments else []
+        return _new_style(self._suffix, has_attributes=not set(columns) <= {*COORDINATES, *NORMALS})
+
+    def _begin(self, columns: Columns, style: Style) -> None:
+        header = style.header or ("plain" if self._suffix == ".csv" else "")
+        if header:
+            spelled, respelled = _header_names(columns, style)
+            self._warnings += respelled
+            names = style.delimiter.join(spelled)
+            self._stream.write(_encode(names if header == "plain" else f"{header}{names}"))
+        elif _loses_names(columns, self._suffix):
+            self._warnings.append(f"the columns' names are not kept; they are {' '.join(columns)}")
+        if style.count_line:
+            self._stream.write(_encode(str(self._points)))
+
+    def finish(self) -> list[str]:
+        """Nothing follows the rows."""
+        return self._warnings
 
 
 def _loses_names(columns: Columns, suffix: str) -> bool:
@@ -284,7 +384,10 @@ def _encode(line: str) -> bytes:
     return line.encode("utf-8", "surrogateescape") + b"\n"
 
 
-FORMATS = tuple(
-    Format("xyz", (suffix,), partial(read, suffix=suffix), partial(write, suffix=suffix), ENCODINGS, has_columns=True)
-    for suffix in (".xyz", ".xyzn", ".txt", ".asc", ".csv", ".pts")
-)
+def _format(suffix: str) -> Format:
+    functions: tuple[Callable[..., Any], ...] = (read, write, stream, write_rows)
+    reads, writes, streams, appends = (partial(function, suffix=suffix) for function in functions)
+    return Format("xyz", (suffix,), reads, writes, ENCODINGS, has_columns=True, stream=streams, write_rows=appends)
+
+
+FORMATS = tuple(_format(suffix) for suffix in (".xyz", ".xyzn", ".txt", ".asc", ".csv", ".pts"))
