@@ -2,7 +2,7 @@
 
 They run in one thread and release the interpreter lock: `networks.rows` shares the rows among threads.
 Arrays are C-contiguous: float32 unless said otherwise, neighbors int32. Twelve numbers describe an edge
-(`config.FEATURES`), for which the loops are written out.
+(`config.FEATURES`) and three weights are given to it (`config.BALLOTS`), for which the loops are written out.
 """
 
 from __future__ import annotations
@@ -19,16 +19,27 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 
+# What makes these loops fast: whole rows of channels (the compiler takes 64 at a time, and the rest one by one, so that
+# half a row of 32 would be slow), no slices inside (each counts references atomically), and sums in arrays of their own.
+
+
 @compiled
-def _values(own: F32, sent: F32, e: F32, w: F32, out: F32) -> None:
-    """out = own + sent + e @ w, (C,); written out, so that it is one vectorized loop."""
-    e0, e1, e2, e3, e4, e5 = e[0], e[1], e[2], e[3], e[4], e[5]
-    e6, e7, e8, e9, e10, e11 = e[6], e[7], e[8], e[9], e[10], e[11]
-    for c in range(out.size):
-        out[c] = (
-            own[c] + sent[c] + e0 * w[0, c] + e1 * w[1, c] + e2 * w[2, c] + e3 * w[3, c] + e4 * w[4, c] + e5 * w[5, c]
-            + e6 * w[6, c] + e7 * w[7, c] + e8 * w[8, c] + e9 * w[9, c] + e10 * w[10, c] + e11 * w[11, c]
-        )  # fmt: skip
+def _invariants(q: F32, i: Any, j: Any) -> Any:
+    """The twelve numbers of an edge."""
+    return (
+        q[i, j, 0], q[i, j, 1], q[i, j, 2], q[i, j, 3], q[i, j, 4], q[i, j, 5],
+        q[i, j, 6], q[i, j, 7], q[i, j, 8], q[i, j, 9], q[i, j, 10], q[i, j, 11],
+    )  # fmt: skip
+
+
+@compiled
+def _value(p: F32, i: Any, u: F32, n: Any, e: Any, w: F32, c: Any) -> Any:
+    """Channel c of p[i] + u[n] + e @ w."""
+    return (
+        p[i, c] + u[n, c] + e[0] * w[0, c] + e[1] * w[1, c] + e[2] * w[2, c] + e[3] * w[3, c] + e[4] * w[4, c]
+        + e[5] * w[5, c] + e[6] * w[6, c] + e[7] * w[7, c] + e[8] * w[8, c] + e[9] * w[9, c] + e[10] * w[10, c]
+        + e[11] * w[11, c]
+    )  # fmt: skip
 
 
 @compiled
@@ -38,21 +49,24 @@ def edge_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, out: F32) -> None:
     p (N, C), u (M, C), nbr (N, k), q (N, k, 12), w (12, C). The first half of the channels of out (N, C) is the
     maximum over j, the second half is the mean.
     """
-    half = p.shape[1] // 2
+    size = p.shape[1]
+    half = size // 2
     share = np.float32(1 / nbr.shape[1])
-    value = np.empty(p.shape[1], np.float32)
+    top, total = np.empty(size, np.float32), np.empty(size, np.float32)
     for i in range(len(out)):
-        own, top, mean = p[i], out[i, :half], out[i, half:]
-        for c in range(half):
+        for c in range(size):
             top[c] = 0
-            mean[c] = 0
+            total[c] = 0
         for j in range(nbr.shape[1]):
-            _values(own, u[np.uint32(nbr[i, j])], q[i, j], w, value)
-            first, second = value[:half], value[half:]  # views: loops from 0 are what the compiler vectorizes
-            for c in range(half):
-                top[c] = max(first[c], top[c])
-            for c in range(half):
-                mean[c] += share * max(second[c], np.float32(0))
+            n, e = np.uint32(nbr[i, j]), _invariants(q, i, j)
+            for c in range(size):
+                value = _value(p, i, u, n, e, w, c)
+                top[c] = max(top[c], value)
+                total[c] += max(value, np.float32(0))
+        for c in range(half):
+            out[i, c] = top[c]
+        for c in range(half, size):
+            out[i, c] = share * total[c]
 
 
 @compiled
@@ -63,80 +77,72 @@ def edge_messages_backward(
     size = p.shape[1]
     half = size // 2
     share = np.float32(1 / nbr.shape[1])
-    value, slope = np.empty(size, np.float32), np.empty(half, np.float32)
-    transposed = np.zeros((half, 12), np.float32)
-    top, best = np.empty(half, np.float32), np.empty(half, np.float32)
+    top, best, back = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    each, slope = np.empty(size, np.float32), np.empty(size, np.float32)
+    of_maxima, of_means = np.zeros((half, 12), np.float32), np.zeros((12, size), np.float32)
     for i in range(len(grad)):
-        own, back, g, second_grad = p[i], grad_p[i], grad[i], grad[i, half:]
-        top[:] = 0
-        best[:] = -1
+        for c in range(size):
+            top[c] = 0
+            best[c] = -1
+            back[c] = 0
+            each[c] = share * grad[i, c] if c >= half else np.float32(0)
         for j in range(nbr.shape[1]):
-            _values(own, u[np.uint32(nbr[i, j])], q[i, j], w, value)
-            number = np.float32(j)
-            for c in range(half):
-                best[c] = number if value[c] > top[c] else best[c]
-            for c in range(half):
-                top[c] = max(value[c], top[c])
+            n, e, number = np.uint32(nbr[i, j]), _invariants(q, i, j), np.float32(j)
+            for c in range(size):
+                value = _value(p, i, u, n, e, w, c)
+                best[c] = number if value > top[c] else best[c]
+                top[c] = max(top[c], value)
+                slope[c] = each[c] if value > 0 else np.float32(0)
+            for c in range(size):
+                back[c] += slope[c]
+            for c in range(size):
+                grad_u[n, c] += slope[c]
+            for c in range(size):  # written out: a call costs more than the sum
+                s = slope[c]
+                of_means[0, c] += e[0] * s
+                of_means[1, c] += e[1] * s
+                of_means[2, c] += e[2] * s
+                of_means[3, c] += e[3] * s
+                of_means[4, c] += e[4] * s
+                of_means[5, c] += e[5] * s
+                of_means[6, c] += e[6] * s
+                of_means[7, c] += e[7] * s
+                of_means[8, c] += e[8] * s
+                of_means[9, c] += e[9] * s
+                of_means[10, c] += e[10] * s
+                of_means[11, c] += e[11] * s
         for c in range(half):  # a maximum sends back along one edge
-            if best[c] >= 0 and g[c] != 0:
-                along = np.uint32(best[c])
-                back[c] += g[c]
-                grad_u[np.uint32(nbr[i, along]), c] += g[c]
-                e, tw = q[i, along], transposed[c]
+            if best[c] >= 0:
+                j, g = np.uint32(best[c]), grad[i, c]
+                back[c] += g
+                grad_u[np.uint32(nbr[i, j]), c] += g
                 for f in range(12):
-                    tw[f] += g[c] * e[f]
-        for j in range(nbr.shape[1]):
-            _values(own, u[np.uint32(nbr[i, j])], q[i, j], w, value)
-            second = value[half:]
-            for c in range(half):
-                slope[c] = share * second_grad[c] if second[c] > 0 else np.float32(0)
-            to, own_back = grad_u[np.uint32(nbr[i, j]), half:], back[half:]
-            for c in range(half):
-                own_back[c] += slope[c]
-                to[c] += slope[c]
-            for f in range(12):
-                ef, gw = q[i, j, f], grad_w[f, half:]
-                for c in range(half):
-                    gw[c] += ef * slope[c]
-    for c in range(half):
-        for f in range(12):
-            grad_w[f, c] += transposed[c, f]
-
-
-# A slice of an array in a loop over edges counts references atomically. For the few channels of `edge_mlp` that costs
-# more than the arithmetic, so it indexes whole arrays; for many channels slices are faster: they vectorize better.
-
-
-@compiled
-def _values_at(own: F32, i: Any, sent: F32, n: Any, q: F32, j: Any, w: F32, out: F32) -> None:
-    """out = own[i] + sent[n] + q[i, j] @ w, (C,)."""
-    e0, e1, e2, e3, e4, e5 = q[i, j, 0], q[i, j, 1], q[i, j, 2], q[i, j, 3], q[i, j, 4], q[i, j, 5]
-    e6, e7, e8, e9, e10, e11 = q[i, j, 6], q[i, j, 7], q[i, j, 8], q[i, j, 9], q[i, j, 10], q[i, j, 11]
-    for c in range(out.size):
-        out[c] = (
-            own[i, c] + sent[n, c] + e0 * w[0, c] + e1 * w[1, c] + e2 * w[2, c] + e3 * w[3, c] + e4 * w[4, c]
-            + e5 * w[5, c] + e6 * w[6, c] + e7 * w[7, c] + e8 * w[8, c] + e9 * w[9, c] + e10 * w[10, c] + e11 * w[11, c]
-        )  # fmt: skip
+                    of_maxima[c, f] += g * q[i, j, f]
+        for c in range(size):
+            grad_p[i, c] += back[c]
+    for f in range(12):
+        for c in range(half):
+            grad_w[f, c] += of_maxima[c, f]
+        for c in range(half, size):
+            grad_w[f, c] += of_means[f, c]
 
 
 @compiled
 def edge_mlp(p: F32, r: F32, nbr: I32, q: F32, w: F32, v: F32, b: F32, out: F32) -> None:
     """out[i, j] = v @ relu(p[i] + r[nbr[i, j]] + q[i, j] @ w) + b.
 
-    p (N, H), r (M, H), nbr (N, k), q (N, k, 12), w (12, H), v (O, H), b (O,), out (N, k, O).
+    p (N, H), r (M, H), nbr (N, k), q (N, k, 12), w (12, H), v (3, H), b (3,), out (N, k, 3).
     """
-    size = p.shape[1]
-    hidden = np.empty(size, np.float32)
     for i in range(len(out)):
         for j in range(nbr.shape[1]):
-            _values_at(p, i, r, np.uint32(nbr[i, j]), q, j, w, hidden)
-            for c in range(size):
-                hidden[c] = max(hidden[c], np.float32(0))
-            for o in range(v.shape[0]):
-                total = b[o]
-                for c in range(size):
-                    total += hidden[c] * v[o, c]
-                out[i, j, o] = total
+            n, e = np.uint32(nbr[i, j]), _invariants(q, i, j)
+            x, y, z = b[0], b[1], b[2]
+            for c in range(p.shape[1]):
+                hidden = max(_value(p, i, r, n, e, w, c), np.float32(0))
+                x += hidden * v[0, c]
+                y += hidden * v[1, c]
+                z += hidden * v[2, c]
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = x, y, z
 
 
 @compiled
@@ -161,33 +167,50 @@ def edge_mlp_backward(
     grad: F32, p: F32, r: F32, nbr: I32, q: F32, w: F32, v: F32,
     grad_p: F32, grad_r: F32, grad_w: F32, grad_v: F32, grad_b: F32,
 ) -> None:  # fmt: skip
-    """Add to the gradients of `edge_mlp`'s p, r, w, v, b what grad (N, k, O) sends back; the values are recomputed."""
+    """Add to the gradients of `edge_mlp`'s p, r, w, v, b what grad (N, k, 3) sends back; the values are recomputed."""
     size = p.shape[1]
-    hidden, slope = np.empty(size, np.float32), np.empty(size, np.float32)
+    slope, back = np.empty(size, np.float32), np.empty(size, np.float32)
+    of_v, of_w = np.zeros((3, size), np.float32), np.zeros((12, size), np.float32)
     for i in range(nbr.shape[0]):
+        for c in range(size):
+            back[c] = 0
         for j in range(nbr.shape[1]):
-            sender = np.uint32(nbr[i, j])
-            _values_at(p, i, r, sender, q, j, w, hidden)
+            n, e = np.uint32(nbr[i, j]), _invariants(q, i, j)
+            x, y, z = grad[i, j, 0], grad[i, j, 1], grad[i, j, 2]
+            grad_b[0] += x
+            grad_b[1] += y
+            grad_b[2] += z
             for c in range(size):
-                hidden[c] = max(hidden[c], np.float32(0))
-                slope[c] = 0
-            for o in range(v.shape[0]):
-                g = grad[i, j, o]
-                grad_b[o] += g
-                for c in range(size):
-                    grad_v[o, c] += g * hidden[c]
-                for c in range(size):
-                    slope[c] += g * v[o, c]
+                hidden = max(_value(p, i, r, n, e, w, c), np.float32(0))
+                of_v[0, c] += x * hidden
+                of_v[1, c] += y * hidden
+                of_v[2, c] += z * hidden
+                slope[c] = x * v[0, c] + y * v[1, c] + z * v[2, c] if hidden > 0 else np.float32(0)
             for c in range(size):
-                slope[c] = slope[c] if hidden[c] > 0 else np.float32(0)
+                back[c] += slope[c]
             for c in range(size):
-                grad_p[i, c] += slope[c]
-            for c in range(size):
-                grad_r[sender, c] += slope[c]
-            for f in range(12):
-                ef = q[i, j, f]
-                for c in range(size):
-                    grad_w[f, c] += ef * slope[c]
+                grad_r[n, c] += slope[c]
+            for c in range(size):  # written out: a call costs more than the sum
+                s = slope[c]
+                of_w[0, c] += e[0] * s
+                of_w[1, c] += e[1] * s
+                of_w[2, c] += e[2] * s
+                of_w[3, c] += e[3] * s
+                of_w[4, c] += e[4] * s
+                of_w[5, c] += e[5] * s
+                of_w[6, c] += e[6] * s
+                of_w[7, c] += e[7] * s
+                of_w[8, c] += e[8] * s
+                of_w[9, c] += e[9] * s
+                of_w[10, c] += e[10] * s
+                of_w[11, c] += e[11] * s
+        for c in range(size):
+            grad_p[i, c] += back[c]
+    for c in range(size):
+        for o in range(3):
+            grad_v[o, c] += of_v[o, c]
+        for f in range(12):
+            grad_w[f, c] += of_w[f, c]
 
 
 @compiled
