@@ -73,26 +73,30 @@ class NeighborIndex:
 
     def _nearest(self, queries: NDArray[np.float64], k: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Ask for spare candidates until no row's k-th place is tied with its last candidate, then trim."""
-        indices = np.empty((len(queries), k), dtype=np.int64)
-        distances = np.empty((len(queries), k))
+        found, far = self._candidates(queries, k + 1)
+        indices, distances = found[:, :k], far[:, :k]
         pending = np.arange(len(queries))
-        for wanted in (k + 1, k + 24, 2 * k + 128):
-            ranks = np.arange(1, min(wanted, len(self)) + 1)  # a list keeps the result two-dimensional
-            far, found = self._tree.query(queries[pending], ranks, workers=self._workers)
-            _sort_rows(found, far)
-            indices[pending], distances[pending] = found[:, :k], far[:, :k]
-            if wanted >= len(self):
+        for wanted in (k + 24, 2 * k + 128):
+            if far.shape[1] == len(self):
                 break
             pending = pending[far[:, -1] <= far[:, k - 1] * (1 + TIE_TOLERANCE)]
             if len(pending) == 0:
                 break
+            found, far = self._candidates(queries[pending], wanted)
+            indices[pending], distances[pending] = found[:, :k], far[:, :k]
+        return indices, distances
+
+    def _candidates(self, queries: NDArray[np.float64], count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """As many nearest points of every query, or all that there are, by ascending (distance, index)."""
+        ranks = np.arange(1, min(count, len(self)) + 1)  # a list keeps the result two-dimensional
+        distances, indices = self._tree.query(queries, ranks, workers=self._workers)
+        _sort_ties(indices, distances)
         return indices, distances
 
 
-def _sort_rows(indices: NDArray[np.int64], distances: NDArray[np.float64]) -> None:
+def _sort_ties(indices: NDArray[np.int64], distances: NDArray[np.float64]) -> None:
     """Sort each row by (distance, index), in place. Few need it: the tree sorts by distance."""
-    disordered = (np.diff(distances, axis=1) == 0) & (indices[:, 1:] < indices[:, :-1])
-    rows = np.flatnonzero(disordered.any(axis=1))
+    rows = np.unique(np.nonzero(distances[:, 1:] == distances[:, :-1])[0])
     order = np.lexsort((indices[rows], distances[rows]), axis=1)
     indices[rows] = np.take_along_axis(indices[rows], order, axis=1)
     distances[rows] = np.take_along_axis(distances[rows], order, axis=1)

@@ -139,8 +139,12 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
         order = crowded[np.argsort(_priority(distances[crowded]), kind="stable")]
         keep = _apart(neighbors, distances, reach, order)
         kept = kept[keep]
-        neighbors, distances = _without(points[kept], keep, neighbors, distances, threads)
-        moments = moments_of(points[kept], points[kept], neighbors)
+        neighbors, distances, stale = _without(points[kept], keep, neighbors, distances, threads)
+        renewed = moments_of(points[kept[stale]], points[kept], neighbors[stale])
+        scale, normals, variance, centroid = (values[keep] for values in moments)
+        for values, new in zip((scale, normals, variance, centroid), renewed, strict=True):
+            values[stale] = new
+        moments = scale, normals, variance, centroid
     return kept, (neighbors, distances), moments
 
 
@@ -167,8 +171,8 @@ def _without(
     neighbors: NDArray[np.int32],
     distances: NDArray[np.float64],
     threads: int | None,
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """The neighbors of the kept `points` after others were left out; asks again only where a neighbor is missing."""
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int64]]:
+    """The neighbors of the kept `points` after others were left out, and which had to be asked for again."""
     number = np.cumsum(keep, dtype=np.int32) - np.int32(1)
     neighbors, distances = neighbors[keep], distances[keep]
     stale = np.flatnonzero(~keep[neighbors].all(axis=1))
@@ -176,7 +180,7 @@ def _without(
     if len(stale):
         index = NeighborIndex(points, threads=threads)
         neighbors[stale], distances[stale] = _others_of(index, points, stale)
-    return neighbors, distances
+    return neighbors, distances, stale
 
 
 def _neighborhood(points: NDArray[np.float64], level: Level, threads: int | None) -> Neighborhood:

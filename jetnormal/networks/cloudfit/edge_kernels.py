@@ -19,8 +19,8 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 
-# What makes these loops fast: whole rows of channels (the compiler takes 64 at a time, and the rest one by one, so that
-# half a row of 32 would be slow), no slices inside (each counts references atomically), and sums in arrays of their own.
+# What makes these loops fast: whole rows of channels (the compiler takes 64 at a time and the rest one by one, so that
+# half a row of 32 would be slow), no slices inside (each counts references atomically), sums in arrays of their own.
 
 
 @compiled
@@ -113,11 +113,11 @@ def edge_messages_backward(
                 of_means[11, c] += e[11] * s
         for c in range(half):  # a maximum sends back along one edge
             if best[c] >= 0:
-                j, g = np.uint32(best[c]), grad[i, c]
+                along, g = np.uint32(best[c]), grad[i, c]
                 back[c] += g
-                grad_u[np.uint32(nbr[i, j]), c] += g
+                grad_u[np.uint32(nbr[i, along]), c] += g
                 for f in range(12):
-                    of_maxima[c, f] += g * q[i, j, f]
+                    of_maxima[c, f] += g * q[i, along, f]
         for c in range(size):
             grad_p[i, c] += back[c]
     for f in range(12):
@@ -225,15 +225,15 @@ def offset(x: F64, xj: F64, inverse: Any) -> tuple[Any, Any, Any]:
 
 @compiled
 def edge_features(
-    xi: F64, ni: F32, mi: F32, ti: F32, si: F32, unit: F32,
-    xj: F64, nj: F32, mj: F32, tj: F32, sj: F32, nbr: I32, out: F32,
+    xi: F64, ni: F32, mi: F32, ti: F32, li: F32, unit: F32,
+    xj: F64, nj: F32, mj: F32, tj: F32, lj: F32, nbr: I32, out: F32,
 ) -> None:  # fmt: skip
-    """The invariants of the edges to xi (N, 3) from xj (M, 3); see `layers.connect`."""
+    """The invariants of the edges to xi (N, 3) from xj (M, 3); l are logarithms of scales; see `layers.connect`."""
     for i in range(len(out)):
         inverse = np.float32(1) / unit[i]
         n0, n1, n2 = ni[i, 0], ni[i, 1], ni[i, 2]
         m0, m1, m2 = mi[i, 0], mi[i, 1], mi[i, 2]
-        t, scale = ti[i], si[i]
+        t, log_scale = ti[i], li[i]
         for k in range(nbr.shape[1]):
             j = np.uint32(nbr[i, k])
             d0, d1, d2 = offset(xi[i], xj[j], inverse)
@@ -253,4 +253,4 @@ def edge_features(
             e[8] = m0 * d0 + m1 * d1 + m2 * d2
             e[9] = mj[j, 0] * d0 + mj[j, 1] * d1 + mj[j, 2] * d2
             e[10] = c * t * tj[j]
-            e[11] = np.log(sj[j] / scale)
+            e[11] = lj[j] - log_scale

@@ -25,7 +25,7 @@ from jetnormal.support.device import available_cores
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
-CHUNK = 4096  # rows computed at a time by a thread: what they need stays in its cache
+CHUNK = 2048  # rows computed at a time by a thread: what they need stays in its cache
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,13 @@ class Surface:
     neighborhood: Neighborhood
     normals: F32
     sign: F32
+    log_scale: F32
 
     @classmethod
     def of(cls, neighborhood: Neighborhood) -> Surface:
         """Points with the normals of their neighbors' planes."""
-        return cls(neighborhood, neighborhood.normals, neighborhood.scale).turned(neighborhood.normals)
+        scale = neighborhood.scale
+        return cls(neighborhood, neighborhood.normals, scale, np.log(scale)).turned(neighborhood.normals)
 
     def turned(self, normals: F32) -> Surface:
         """The same points with other normals."""
@@ -49,11 +51,25 @@ class Surface:
 
 @dataclass(frozen=True)
 class Edges:
-    """Edges to points from others: (N, k) neighbors, (N,) unit of length and (N, k, 12) invariants."""
+    """Edges to points from others: (N, k) neighbors and (N,) unit of length.
 
+    Their invariants are computed anew by each layer: that is quicker than to keep them in memory and read them again.
+    """
+
+    to: Surface
+    sender: Surface
     neighbors: I32
     unit: F32
-    features: F32
+
+    def features(self, rows: slice) -> F32:
+        """(n, k, 12) invariants of the edges to some rows; see `layers.connect`."""
+        shape, other = self.to.neighborhood, self.sender.neighborhood
+        own = (shape.positions, self.to.normals, shape.centroid, self.to.sign, self.to.log_scale, self.unit)
+        others = (other.positions, self.sender.normals, other.centroid, self.sender.sign, self.sender.log_scale)
+        neighbors = self.neighbors[rows]
+        features = np.empty((*neighbors.shape, FEATURES), np.float32)
+        edge_kernels.edge_features(*(a[rows] for a in own), *others, neighbors, features)
+        return features
 
 
 @dataclass(frozen=True)
@@ -131,17 +147,17 @@ class _Pass:
             here = surfaces[number]
             if number + 1 < len(levels):
                 above, parents = surfaces[number + 1], levels[number].parents
-                edges = self._connect(here, above, parents, levels[number + 1].scale[parents[:, 0]])
+                edges = Edges(here, above, parents, levels[number + 1].scale[parents[:, 0]])
                 h[number] = self._edge_conv(f"unpool.{number}", h[number], h[number + 1], edges)
                 rough = self._vote(f"interpolate.{number}", h[number], here, [(h[number + 1], above, edges)])
                 here = here.turned(rough)
-            edges = self._connect(here, here, levels[number].neighbors, levels[number].scale)
+            edges = Edges(here, here, levels[number].neighbors, levels[number].scale)
             for layer in range(self._config.down_layers[number]):
                 h[number] = self._edge_conv(f"down.{number}.{layer}", h[number], h[number], edges)
             normals = self._last_vote(number, levels, h, here, surfaces, edges)
             surfaces[number] = here.turned(normals)
         for _ in range(1, iterations):
-            edges = self._connect(surfaces[0], surfaces[0], levels[0].neighbors, levels[0].scale)
+            edges = Edges(surfaces[0], surfaces[0], levels[0].neighbors, levels[0].scale)
             rough, normals = normals, self._last_vote(0, levels, h, surfaces[0], surfaces, edges)
             surfaces[0] = surfaces[0].turned(normals)
         confidence = self._confidence(h[0], normals, rough)
@@ -159,10 +175,10 @@ class _Pass:
             if number:
                 below, chosen = surfaces[number - 1], levels[number - 1].chosen
                 own = _with_itself(chosen, levels[number - 1])
-                edges = self._connect(here, below, own, levels[number - 1].scale[chosen])
+                edges = Edges(here, below, own, levels[number - 1].scale[chosen])
                 h = self._edge_conv(f"pool.{number - 1}", h, features[number - 1], edges)
             if self._config.up_layers[number]:
-                edges = self._connect(here, here, levels[number].neighbors, levels[number].scale)
+                edges = Edges(here, here, levels[number].neighbors, levels[number].scale)
                 for layer in range(self._config.up_layers[number]):
                     h = self._edge_conv(f"up.{number}.{layer}", h, h, edges)
             features.append(h)
@@ -170,9 +186,14 @@ class _Pass:
 
     def _embed(self, number: int, here: Surface) -> F32:
         shape = here.neighborhood
-        tilt = np.abs(np.einsum("ij,ij->i", here.normals, shape.centroid))[:, None]
-        length = np.sqrt(np.einsum("ij,ij->i", shape.centroid, shape.centroid))[:, None]
-        return self._linear(f"embed.{number}", np.concatenate([shape.variance, tilt, length], axis=1))
+
+        def embed(rows: slice) -> F32:
+            centroid = shape.centroid[rows]
+            tilt = np.abs(np.einsum("ij,ij->i", here.normals[rows], centroid))[:, None]
+            length = np.sqrt(np.einsum("ij,ij->i", centroid, centroid))[:, None]
+            return self._linear(f"embed.{number}", np.concatenate([shape.variance[rows], tilt, length], axis=1))
+
+        return self._by_rows(embed, len(here.normals), (self._config.channels[number],))
 
     def _last_vote(
         self, number: int, levels: list[Level], h: list[F32], here: Surface, surfaces: list[Surface], edges: Edges
@@ -181,7 +202,7 @@ class _Pass:
         if number + 1 < len(levels):
             above, parent = levels[number + 1], levels[number].parents[:, 0]
             neighbors = np.ascontiguousarray(_with_itself(parent, above)[:, :COARSE_NEIGHBORS])
-            wide = self._connect(here, surfaces[number + 1], neighbors, above.scale[parent])
+            wide = Edges(here, surfaces[number + 1], neighbors, above.scale[parent])
             senders.append((h[number + 1], surfaces[number + 1], wide))
         return self._vote(f"direction.{number}", h[number], here, senders)
 
@@ -191,7 +212,7 @@ class _Pass:
         shape = Surface.of(carried)
         features = self._embed(0, shape)
         here = shape.turned(rough)
-        edges = self._connect(here, level, carried.neighbors, carried.scale)
+        edges = Edges(here, level, carried.neighbors, carried.scale)
         features = self._edge_conv("carry", features, h, edges)
         normals = self._vote("carried_direction", features, here, [(h, level, edges)])
         apart = np.linalg.norm(carried.positions - level.neighborhood.positions[nearest], axis=1)
@@ -206,19 +227,6 @@ class _Pass:
 
         return self._by_rows(rate, len(h), ())
 
-    def _connect(self, to: Surface, sender: Surface, neighbors: I32, unit: F32) -> Edges:
-        """See `layers.connect`."""
-        features = np.empty((*neighbors.shape, FEATURES), np.float32)
-        shape, other = to.neighborhood, sender.neighborhood
-        own = (shape.positions, to.normals, shape.centroid, to.sign, shape.scale, unit)
-        others = (other.positions, sender.normals, other.centroid, sender.sign, other.scale)
-
-        def describe(rows: slice) -> None:
-            edge_kernels.edge_features(*(a[rows] for a in own), *others, neighbors[rows], features[rows])
-
-        self._for_rows(describe, len(neighbors))
-        return Edges(neighbors, unit, features)
-
     def _edge_conv(self, name: str, h: F32, sender: F32, edges: Edges) -> F32:
         """See `layers.EdgeConv`."""
         sent = self._product(f"{name}.sender", sender)
@@ -227,7 +235,7 @@ class _Pass:
         def layer(rows: slice) -> F32:
             own = self._linear(f"{name}.own", h[rows])
             messages = np.empty_like(own)
-            edge_kernels.edge_messages(own, sent, edges.neighbors[rows], edges.features[rows], weight, messages)
+            edge_kernels.edge_messages(own, sent, edges.neighbors[rows], edges.features(rows), weight, messages)
             edge_kernels.layer_norm(messages, gain, shift)
             return h[rows] + self._linear(f"{name}.out", messages)
 
@@ -262,7 +270,7 @@ class _Pass:
         own = self._linear(f"{name}.own", h)
         out = np.empty((*edges.neighbors[rows].shape, BALLOTS), np.float32)
         parameters = (self._w[f"{name}.{key}"] for key in ("edge", "out.weight", "out.bias"))
-        edge_kernels.edge_mlp(own, sent, edges.neighbors[rows], edges.features[rows], *parameters, out)
+        edge_kernels.edge_mlp(own, sent, edges.neighbors[rows], edges.features(rows), *parameters, out)
         return _softplus(out)
 
     def _linear(self, name: str, x: F32) -> F32:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import cast
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -64,8 +65,9 @@ def connect(to: Nodes, sender: Nodes, neighbors: Tensor, unit: Tensor) -> Edges:
     others = (sender.positions, sender.normals, sender.centroid, sender.sign, sender.scale)
     if not torch_ops.has_loops(unit):
         return Edges(neighbors, unit, torch_ops.edge_features(own, unit, others, neighbors))
-    arrays = [t.numpy() for t in (*own, unit)]
-    sent = [t.numpy() for t in others]
+    # NumPy's logarithm: PyTorch's depends in the last digit on how its threads divide the numbers
+    arrays = [*(t.numpy() for t in own[:-1]), np.log(to.scale.numpy()), unit.numpy()]
+    sent = [*(t.numpy() for t in others[:-1]), np.log(sender.scale.numpy())]
     features = torch.empty(*neighbors.shape, FEATURES)
 
     def describe(rows: slice) -> None:
