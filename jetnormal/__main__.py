@@ -1,5 +1,5 @@
 """`python -m jetnormal`."""
 
-from jetnormal.cli.app import main
+from jetnormal.cli.app import program
 
-main()
+program()
