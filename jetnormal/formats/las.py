@@ -40,10 +40,17 @@ ENCODINGS = ("binary",)
 
 _NORMALS = ("NormalX", "NormalY", "NormalZ")
 _CHUNK = 1 << 20
+_COMPRESSED_CHUNK = 50_000  # points
 _TYPES = {"u1": 1, "i1": 2, "u2": 3, "i2": 4, "u4": 5, "i4": 6, "u8": 7, "i8": 8, "f4": 9, "f8": 10}
 """The codes of the types of extra dimensions."""
 _EXTRA_BYTES = ("LASF_Spec", 4)
 _LASZIP = ("laszip encoded", 22204)
+_LASZIP_HEAD = struct.Struct("<H30xH")
+"""The compressor and the number of items in the record; the items follow, each with its kind, size and version."""
+_LAYERED = 3
+_ITEMS = {10: (30, 9), 11: (6, 1), 12: (8, 2), 13: (29, 1)}
+"""Size and number of layers of the items by kind: the point itself, colors, colors with infrared, a wave packet."""
+_EXTRA_BYTES_ITEM = 14  # a layer for each byte
 _WAVEFORMS = ("LASF_Spec", 65535)
 _WITHOUT_WAVES = {9: 6, 10: 8}
 """The point formats whose wave packets lazrs reads and writes wrongly (0.8.2), and the same ones without packets."""
@@ -134,7 +141,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Source]]:
             with laspy.open(stream, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
                 _check_size(reader.header, path)
                 if reader.header.are_points_compressed:
-                    _check_chunks(stream, reader.header.offset_to_point_data, path)
+                    _check_chunks(stream, reader.header, _laszip_record(records, path), path)
                 yield reader, _source(reader.header, records, late, path)
 
 
@@ -168,7 +175,9 @@ def _read_records(stream: BinaryIO, path: Path) -> tuple[tuple[Record, ...], tup
     """The records as bytes: laspy interprets some of them, and writes these differently."""
     stream.seek(0)
     head = stream.read(375)
-    size, _, count = struct.unpack_from("<HII", head, 94)
+    size, points, count = struct.unpack_from("<HII", head, 94)
+    if points > path.stat().st_size:
+        raise InputError(f"{path}: its points begin behind its end; the file is truncated")
     stream.seek(size)
     records = tuple(_read_record(stream, "<H16sHH32s", path) for _ in range(count))
     late: tuple[Record, ...] = ()
@@ -195,9 +204,16 @@ def _check_size(header: Any, path: Path) -> None:
         raise InputError(f"{path}: declares {header.point_count} points, more than its size allows; it is truncated")
 
 
-def _check_chunks(stream: BinaryIO, start: int, path: Path) -> None:
-    """Refuse a number of compressed chunks that the file cannot hold: the decompressor would allocate it."""
-    position, size = stream.tell(), path.stat().st_size
+def _laszip_record(records: tuple[Record, ...], path: Path) -> bytes:
+    for record in records:
+        if (record.user, record.number) == _LASZIP and len(record.data) >= _LASZIP_HEAD.size:
+            return record.data
+    raise InputError(f"{path}: its points are compressed, but no record tells how; it is damaged")
+
+
+def _check_chunks(stream: BinaryIO, header: Any, laszip: bytes, path: Path) -> None:
+    """Refuse compressed chunks, or parts of them, larger than the file: the decompressor would allocate them."""
+    position, size, start = stream.tell(), path.stat().st_size, header.offset_to_point_data
     stream.seek(start)
     (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
     if table == -1:  # written by what could not go back: the place stands at the end
@@ -209,7 +225,39 @@ def _check_chunks(stream: BinaryIO, start: int, path: Path) -> None:
     _, chunks = struct.unpack("<II", stream.read(8))
     if chunks > size:
         raise InputError(f"{path}: declares {chunks} compressed chunks, more than its size allows; it is damaged")
+    stream.seek(table)
+    record = library("lazrs", "las", path).LazVlr(laszip)
+    found, first = 0, start + 8
+    for count, length in library("lazrs", "las", path).read_chunk_table_only(stream, record):
+        stream.seek(first)
+        if not _layers_fit(stream, laszip, length):
+            raise InputError(f"{path}: a compressed chunk is shorter than what it declares to hold; it is damaged")
+        found += count if record.uses_variable_size_chunks() else record.chunk_size()
+        first += length
+    if found < header.point_count:
+        raise InputError(f"{path}: declares {header.point_count} points, more than its chunks hold; it is truncated")
     stream.seek(position)
+
+
+def _layers_fit(stream: BinaryIO, laszip: bytes, length: int) -> bool:
+    """Whether a chunk is as long as its layers are.
+
+    The chunks of point formats 6 and up begin with the first point as it is and the number of points; then come the
+    lengths of the layers, one or several for each item of the points (LASzip, "layered chunked" compression).
+    """
+    compressor, items = _LASZIP_HEAD.unpack_from(laszip)
+    if compressor != _LAYERED:
+        return True
+    sizes = []
+    for item in range(items):
+        kind, size = struct.unpack_from("<HH", laszip, _LASZIP_HEAD.size + 6 * item)
+        sizes.append((size, size) if kind == _EXTRA_BYTES_ITEM else _ITEMS[kind])
+        if sizes[-1][0] != size:
+            return False
+    head, layers = sum(size for size, _ in sizes) + 4, sum(count for _, count in sizes)
+    stream.seek(head, 1)
+    lengths = stream.read(4 * layers)
+    return len(lengths) == 4 * layers and head + len(lengths) + sum(struct.unpack(f"<{layers}I", lengths)) <= length
 
 
 def _read_points(reader: Any, rows: int, path: Path) -> Iterator[Columns]:
@@ -287,7 +335,7 @@ class _Rows:
         others, converted = to_storable(others, frozenset(_TYPES), vectors=False)
         self._layout.check(others, renamed + changed + converted)
         if self._writer is None:
-            self._begin(others)
+            self._begin(others, len(rows))
             self._warnings += renamed + changed + converted
         table = self._laspy.ScaleAwarePointRecord.zeros(len(rows), header=self._header)
         self._set_coordinates(table, cloud.points[rows], cloud.source.point_dtype)
@@ -308,16 +356,24 @@ class _Rows:
             self._sorted_by = deepcopy(self._header.point_format)
         return self._sorted_by
 
-    def _begin(self, others: Columns) -> None:
-        """Write the header."""
+    def _begin(self, others: Columns, rows: int) -> None:
+        """Write the header; the first piece has that many rows."""
         self._added = _declare(self._laspy, self._header, others)
         records, self._late = _records_to_write(self._extra, self._header)
         if self._extra and any((record.user, record.number) == _WAVEFORMS for record in self._extra.late_records):
             self._header.start_of_waveform_data_packet_record = 0
         self._header.vlrs.extend(_as_vlr(self._laspy, record) for record in records)
+        # The parallel compressor takes memory for whole chunks at once.
+        parallel = rows > _COMPRESSED_CHUNK
+        backend = self._laspy.LazBackend.LazrsParallel if parallel else self._laspy.LazBackend.Lazrs
         with library_errors("LAS output", "laspy"):
             self._writer = self._laspy.LasWriter(
-                self._stream, self._header, do_compress=self._compress, closefd=False, encoding_errors="ignore"
+                self._stream,
+                self._header,
+                do_compress=self._compress,
+                laz_backend=backend,
+                closefd=False,
+                encoding_errors="ignore",
             )
 
     def _set_coordinates(self, table: Any, points: NDArray[np.float64], dtype: np.dtype[Any]) -> None:

@@ -142,6 +142,8 @@ class _Declaration:
         """Take the words of a property; a name that the element already has gets a number."""
         *kind, name = words
         if len(kind) == 3 and kind[0] == "list":
+            if np.dtype(_TYPES[kind[1]]).kind == "f":
+                raise ValueError  # a list cannot have 2.5 members
             added = Property(self.names.add(name), _TYPES[kind[2]], _TYPES[kind[1]])
         elif len(kind) == 1:
             added = Property(self.names.add(name), _TYPES[kind[0]])

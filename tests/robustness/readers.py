@@ -71,9 +71,11 @@ def cloud_seeds(suffix: str) -> Callable[[Path], list[bytes]]:
 
 
 def read_and_write(path: Path) -> None:
-    """Whatever can be read can be written again."""
+    """Whatever can be read can be written again, and has as many points if it is read in pieces."""
     found = formats.read(path)
     formats.write(found, path.with_name(f"again{path.suffix}"), overwrite=True)
+    if formats.find_format(path).stream:
+        assert len(found) == sum(map(len, formats.open_stream(path).pieces(4)))
 
 
 def mesh_seeds(suffix: str) -> Callable[[Path], list[bytes]]:
@@ -150,6 +152,22 @@ def read_pcpnet(path: Path) -> None:
     read_cloud(path.parent, "cloud")
 
 
+def ptx_seeds(_: Path) -> list[bytes]:
+    poses = ("0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1",
+             "5 6 7\n0 1 0\n-1 0 0\n0 0 1\n0 1 0 0\n-1 0 0 0\n0 0 1 0\n5 6 7 1")  # fmt: skip
+    grid = "\n".join(f"{x:g} {y:g} {z:g} 0.5" for x, y, z in POINTS)
+    colors = "\n".join(f"{x:g} {y:g} {z:g} 0.5 255 0 9" for x, y, z in POINTS)
+    return [f"3\n3\n{poses[0]}\n{colors}\n".encode(), f"3\n3\n{poses[0]}\n{grid}\n9\n1\n{poses[1]}\n{grid}\n".encode()]
+
+
+def kitti_seeds(_: Path) -> list[bytes]:
+    return [np.pad(POINTS, ((0, 0), (0, 1))).astype("<f4").tobytes()]
+
+
+def read_kitti(path: Path) -> None:
+    formats.read(path, format="kitti")
+
+
 def kept_seeds(folder: Path) -> list[bytes]:
     from jetnormal.evaluation.store import Estimate, ResultStore
 
@@ -189,15 +207,17 @@ CLOUDS = {suffix[1:]: Reader(suffix, cloud_seeds(suffix), read_and_write) for su
 )}  # fmt: skip
 LIBRARIES = {
     "las": Reader(".las", cloud_seeds(".las"), read_and_write, "laspy"),
-    "laz": Reader(".laz", cloud_seeds(".laz"), read_and_write, "lazrs", bound=40_000),  # it believes sizes of layers
+    "laz": Reader(".laz", cloud_seeds(".laz"), read_and_write, "lazrs"),
     "e57": Reader(".e57", cloud_seeds(".e57"), read_and_write, "pye57"),
 }
 MESHES = {f"mesh {suffix[1:]}": Reader(suffix, mesh_seeds(suffix), read_mesh) for suffix in (
     ".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".npz",
 )}  # fmt: skip
 OTHERS = {
+    "ptx": Reader(".ptx", ptx_seeds, formats.read),
+    "kitti": Reader(".bin", kitti_seeds, read_kitti),
     "pcpnet": Reader(".txt", pcpnet_seeds, read_pcpnet),
     "kept result": Reader(".npz", kept_seeds, read_kept),
     "model": Reader(".safetensors", model_seeds, read_model),
 }
-READERS: dict[str, Reader] = CLOUDS | LIBRARIES | MESHES | OTHERS
+READERS: dict[str, Reader] = CLOUDS | MESHES | OTHERS | LIBRARIES

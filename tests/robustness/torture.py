@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from robustness.record import record_rows
 from shapes import sphere
 
 import jetnormal
@@ -210,6 +211,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--record", type=Path, metavar="FILE", help="document whose table takes the rows")
     parser.add_argument("--command", action="append", choices=["estimate", "train", "evaluate", "disk"])
     options = parser.parse_args()
     chosen = options.command or ["estimate", "train", "evaluate", "disk"]
@@ -239,9 +241,12 @@ def main() -> None:
             outcomes.append(torture_evaluate(inputs, evaluate, options.kills, rng))
         if "disk" in chosen:
             outcomes.append(without_disk(inputs / "in.ply"))
+    rows = [(outcome.name, [str(outcome.tries), str(outcome.killed), str(len(outcome.faults))]) for outcome in outcomes]
     print("| command | tries | killed before the end | faults |\n|---|---|---|---|")
-    for outcome in outcomes:
-        print(f"| {outcome.name} | {outcome.tries} | {outcome.killed} | {len(outcome.faults)} |")
+    for name, cells in rows:
+        print("|", " | ".join([name, *cells]), "|")
+    if options.record:
+        record_rows(options.record, "torture", rows)
     for outcome in outcomes:
         for fault in outcome.faults[:10]:
             print(f"{outcome.name}: {fault}")
