@@ -229,6 +229,8 @@ def _check_chunks(stream: BinaryIO, header: Any, laszip: bytes, path: Path) -> N
     record = library("lazrs", "las", path).LazVlr(laszip)
     found, first = 0, start + 8
     for count, length in library("lazrs", "las", path).read_chunk_table_only(stream, record):
+        if found >= header.point_count:
+            break  # an empty file has an empty chunk
         stream.seek(first)
         if not _layers_fit(stream, laszip, length):
             raise InputError(f"{path}: a compressed chunk is shorter than what it declares to hold; it is damaged")

@@ -165,7 +165,8 @@ def stream(path: Path, *, suffix: str, columns: str | None = None, decimal: str 
 
 
 def _blocks(path: Path, preamble: Preamble) -> Iterator[tuple[list[NDArray[Any]], list[tuple[str, str]]]]:
-    """The columns of numbers, and the comments among them, some megabytes of whole lines at a time."""
+    """The columns of numbers, and the comments among them, some megabytes of whole lines at a time; at least once."""
+    rows = 0
     with _open(path) as opened:
         opened.seek(preamble.offset)
         line = preamble.line
@@ -175,8 +176,11 @@ def _blocks(path: Path, preamble: Preamble) -> Iterator[tuple[list[NDArray[Any]]
             piece = replace(preamble, offset=0, line=line)
             numbers, comments = _read_rows(io.BytesIO(text), piece, path)
             line += lines
+            rows += len(numbers[0])
             if len(numbers[0]):
                 yield numbers, comments
+    if not rows:
+        yield [np.empty(0) for _ in preamble.names or COORDINATES], []
 
 
 def _open(path: Path) -> BinaryIO:

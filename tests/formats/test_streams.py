@@ -89,3 +89,11 @@ def test_a_type_that_depends_on_values_is_refused(tmp_path):
     with pytest.raises(InputError, match="'time' depends on its values"):
         write_pieces(iter([small, large]), 4, np.zeros((2, 3)), tmp_path / "a.ply")
     assert not (tmp_path / "a.ply").exists()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_file_without_points_has_one_piece(tmp_path, name):
+    path = tmp_path / name
+    write(Cloud(np.empty((0, 3)), None, {"intensity": np.empty(0, np.uint16)}), path)
+    stream = open_stream(path)
+    assert stream.points == 0 and [len(piece) for piece in stream.pieces(PIECE)] == [0]

@@ -6,6 +6,7 @@ import base64
 import importlib
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from jetnormal import formats
 from jetnormal.cloud import Cloud, Source
+from jetnormal.errors import InputError
 from jetnormal.formats.meshes import read_mesh, write_mesh
 from jetnormal.mesh import Mesh
 
@@ -71,11 +73,12 @@ def cloud_seeds(suffix: str) -> Callable[[Path], list[bytes]]:
 
 
 def read_and_write(path: Path) -> None:
-    """Whatever can be read can be written again, and has as many points if it is read in pieces."""
+    """Whatever can be read can be written again; in pieces, if it can be read so, it has as many points."""
     found = formats.read(path)
     formats.write(found, path.with_name(f"again{path.suffix}"), overwrite=True)
-    if formats.find_format(path).stream:
-        assert len(found) == sum(map(len, formats.open_stream(path).pieces(4)))
+    with suppress(InputError):  # not every file can
+        pieces = list(formats.open_stream(path).pieces(4))
+        assert len(found) == sum(map(len, pieces))
 
 
 def mesh_seeds(suffix: str) -> Callable[[Path], list[bytes]]:
