@@ -23,8 +23,9 @@ from jetnormal.cloud import Cloud
 from jetnormal.convert import library_of, to_cloud, to_open3d
 from jetnormal.errors import JetnormalWarning, UsageError
 from jetnormal.evaluation.options import EvaluateOptions
-from jetnormal.jobs.estimate import Result, find_normals, prepare_estimator, with_normals
+from jetnormal.jobs.estimate import Result, find_normals, with_normals
 from jetnormal.jobs.options import EstimateOptions, NormalOptions, ReconstructOptions
+from jetnormal.jobs.prediction import prepare_estimator
 from jetnormal.mesh import Mesh
 from jetnormal.support.options import Option, Vector, fields
 from jetnormal.support.report import StageTimer

@@ -12,7 +12,7 @@ from jetnormal.cli.derive import with_options
 from jetnormal.cli.failures import spell
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions, ReconstructOptions
+from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions, LargeOptions, ReconstructOptions
 from jetnormal.support.report import logger, print_json
 from jetnormal.support.streams import STREAM
 
@@ -26,6 +26,7 @@ def estimate(
     options: EstimateOptions,
     files: FileOptions,
     batch: BatchOptions,
+    large: LargeOptions,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="OUTPUT", help="File to write, in any of these formats, or -."),
@@ -63,10 +64,13 @@ def estimate(
       jetnormal estimate part.csv -o part.ply --columns id,x,y,z --curvature --json
       jetnormal estimate statue.ply -o statue_normals.ply --mesh statue.glb
       jetnormal estimate scans/*.laz --out-dir normals --skip-existing
+      jetnormal estimate city.laz -o city_normals.laz --max-memory 8GB
       cat scan.xyz | jetnormal estimate - -o - --format xyz | ...
     """
     set_verbosity(quiet, verbose)
     _check_outputs(input, output, out_dir, mesh, batch, json)
+    if out_dir is not None and large != LargeOptions():
+        raise UsageError("`max_memory`, `resume` and `cluster` go with `output`")
     if out_dir is not None:
         _estimate_many(input, out_dir, options, files, batch, force, json)
         return
@@ -75,7 +79,7 @@ def estimate(
         check_mesh(mesh, output, options.orient, force)
     from jetnormal.jobs.estimate import estimate_file
 
-    summary = estimate_file(input[0], output, options, files=files, overwrite=force)
+    summary = estimate_file(input[0], output, options, files, large, overwrite=force)
     report(summary)
     if mesh is not None:
         from jetnormal.jobs.reconstruct import reconstruct_file

@@ -33,7 +33,8 @@ def in_blocks(
         threads: CPU threads of the neighbor search; None for all cores.
     """
     queries = np.arange(len(points)) if queries is None else queries
-    blocks = list(_blocks(points, np.arange(len(points)), len(points) if len(points) <= WHOLE else CORE))
+    is_block = len(queries) <= CORE and len(points) <= (1 + HALO_SHARE) * CORE  # with its halo, of a larger cloud
+    blocks = list(_blocks(points, np.arange(len(points)), len(points) if len(points) <= WHOLE or is_block else CORE))
     block_of = np.empty(len(points), dtype=np.int32)
     for number, core in enumerate(blocks):
         block_of[core] = number
@@ -43,7 +44,7 @@ def in_blocks(
         asked = np.flatnonzero(block_of[queries] == number)
         if len(asked) == 0:
             continue
-        rows = core if len(blocks) == 1 else _with_halo(points, core, threads)
+        rows = core if len(blocks) == 1 else with_halo(points, core, halo_width(points[core], threads))
         rows = rows[spatial_order(points[rows])]
         place[rows] = np.arange(len(rows))
         asked = asked[np.argsort(place[queries[asked]])]
@@ -64,12 +65,9 @@ def _blocks(points: NDArray[np.float64], rows: NDArray[np.int64], largest: int) 
         yield from _blocks(points, rows[half], largest)
 
 
-def _with_halo(points: NDArray[np.float64], core: NDArray[np.int64], threads: int | None) -> NDArray[np.int64]:
-    """The rows of a block's core and of what lies around its box."""
+def with_halo(points: NDArray[np.float64], core: NDArray[np.int64], width: float) -> NDArray[np.int64]:
+    """The rows of a block's core, and of what lies around its box, nearer than a width."""
     inside = points[core]
-    sample = inside[:: max(1, len(core) // SAMPLE)]
-    _, distances = NeighborIndex(inside, threads=threads).query(sample, min(HALO_NEIGHBORS + 1, len(inside)))
-    width = HALO * float(np.median(np.sqrt(np.square(distances).mean(axis=1))))
     low, high = inside.min(axis=0), inside.max(axis=0)
     near = np.ones(len(points), dtype=bool)
     for axis in range(3):
@@ -81,6 +79,13 @@ def _with_halo(points: NDArray[np.float64], core: NDArray[np.int64], threads: in
         outside = np.maximum(np.maximum(low - points[halo], points[halo] - high), 0)
         halo = halo[np.argpartition(np.square(outside).sum(axis=1), most)[:most]]
     return np.concatenate([core, halo])
+
+
+def halo_width(inside: NDArray[np.float64], threads: int | None) -> float:
+    """How far around the box of a core (n, 3) its halo reaches, where there is room for it."""
+    sample = inside[:: max(1, len(inside) // SAMPLE)]
+    _, distances = NeighborIndex(inside, threads=threads).query(sample, min(HALO_NEIGHBORS + 1, len(inside)))
+    return HALO * float(np.median(np.sqrt(np.square(distances).mean(axis=1))))
 
 
 def spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:

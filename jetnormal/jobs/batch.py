@@ -10,9 +10,10 @@ from typing import Any
 
 from jetnormal import formats
 from jetnormal.errors import InputError, JetnormalError, ResourceError, UsageError
-from jetnormal.jobs.estimate import prepare_estimator, run_file
+from jetnormal.jobs.estimate import run_file
 from jetnormal.jobs.files import check_file
 from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions
+from jetnormal.jobs.prediction import prepare_estimator
 from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 
 Report = Callable[[dict[str, Any]], None]

@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud
-from jetnormal.errors import InputError, UsageError
-from jetnormal.estimators.base import Estimator, Prediction, joined
+from jetnormal.errors import InputError
+from jetnormal.estimators.base import Estimator
 from jetnormal.jobs.files import check_file, check_format, read_file, write_file
-from jetnormal.jobs.options import EstimateOptions, FileOptions, NormalOptions
-from jetnormal.support.report import Advance, StageTimer, peak_memory_mb, progress
+from jetnormal.jobs.memory import points_of_a_tile
+from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions, NormalOptions
+from jetnormal.jobs.prediction import predict, prepare_estimator, turned_curvatures
+from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 
 if TYPE_CHECKING:
-    from jetnormal.orientation.methods import Orientation
     from jetnormal.orientation.policy import Decision
 
-FEW_NEIGHBORS = 10  # of a jet for a cloud too small for a network: a sphere of 45 points has 2.7 degrees, with 45 39
 MAX_COORDINATE = 1e150  # squares of differences must be finite
 
 
@@ -91,16 +91,18 @@ def estimate_file(
     target: Path,
     options: EstimateOptions,
     files: FileOptions = FileOptions(),  # noqa: B008 - frozen
+    large: LargeOptions = LargeOptions(),  # noqa: B008
     *,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Read a cloud, estimate its normals and write it with them.
+    """Read a cloud, estimate its normals and write it with them; in tiles, if it would take too much memory.
 
     Args:
         source: the file to read, or "-" for standard input.
         target: the file to write, whose suffix tells the format, or "-" for standard output.
         options: how normals are estimated.
         files: how the files are read and written.
+        large: how a cloud larger than memory is computed.
         overwrite: whether an existing output may be replaced.
 
     Returns:
@@ -114,6 +116,20 @@ def estimate_file(
     timer = StageTimer()
     check_format(files, source, target)
     check_file(target, files, overwrite=overwrite)
+    tile = points_of_a_tile(source, files, large)
+    if tile is not None:
+        from jetnormal.jobs.tiled.run import estimate_in_tiles
+
+        return estimate_in_tiles(
+            source,
+            target,
+            options,
+            files,
+            largest=tile,
+            resume=large.resume,
+            cluster=large.cluster,
+            overwrite=overwrite,
+        )
     with timer.stage("model"):
         estimator = prepare_estimator(options)  # before the cloud, which may take minutes to read
     return run_file(source, target, options, files, estimator, timer, overwrite=overwrite)
@@ -193,7 +209,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
     if len(points) < 3:
         raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
     with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
-        prediction, name, warnings = _predict(points, estimator, options, advance)
+        prediction, name, warnings = predict(points, estimator, options, advance)
     with timer.stage("orient"):
         known = None if sensors is None else sensors.of(rows[first])
         orientation, decision = settle(points, prediction.normals, options.orient, known, cloud.source)
@@ -206,8 +222,8 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         return full
 
     normals = spread(orientation.normals.astype(np.float64))
-    curvatures = _curvatures(prediction, orientation)
-    warnings += _gaps(len(cloud) - len(rows), len(rows) - int(np.isfinite(normals).all(axis=1).sum()))
+    curvatures = turned_curvatures(prediction, orientation.normals)
+    warnings += gaps(len(cloud) - len(rows), len(rows) - int(np.isfinite(normals).all(axis=1).sum()))
     return Result(
         normals,
         spread(prediction.confidence),
@@ -237,85 +253,8 @@ def with_normals(cloud: Cloud, result: Result, options: EstimateOptions) -> tupl
     return Cloud(cloud.points, result.normals, cloud.attributes | found, source), replaced
 
 
-def prepare_estimator(options: NormalOptions) -> Estimator:
-    """Make the estimator asked for. What is wrong with the options, whatever the cloud, shows here.
-
-    Raises:
-        UsageError, ModelError, ResourceError: as `jetnormal.estimate`.
-    """
-    from jetnormal.estimators.factory import make_estimator
-
-    settings: dict[str, Any] = {"k": options.k, "order": options.order, "iterations": options.iterations}
-    estimator = make_estimator(options.model_name, **settings, **_resources(options))
-    if isinstance(options, EstimateOptions) and options.curvature and not estimator.has_curvature:
-        raise UsageError(f"{estimator.name} has no curvature: leave out `curvature`, or choose a network or jet")
-    return estimator
-
-
-def _resources(options: NormalOptions) -> dict[str, Any]:
-    return {"batch_size": options.batch_size, "device": options.device, "threads": options.threads}
-
-
-def _predict(
-    points: NDArray[np.float64], estimator: Estimator, options: NormalOptions, advance: Advance
-) -> tuple[Prediction, str, list[str]]:
-    """What an estimator says of a cloud part by part, the name of the one that looked at most of it, and warnings."""
-    from jetnormal.geometry.parts import far_apart
-    from jetnormal.geometry.scale import unit_scale
-
-    parts = far_apart(points)
-    predictions: list[Prediction] = []
-    names: list[str] = []
-    warnings: list[str] = []
-    for rows in parts:
-        if len(rows) < 3:
-            predictions.append(_nothing(len(rows)))
-            continue
-        suited, said = _suited_to(len(rows), estimator, options)
-        scaled, exponent = unit_scale(points[rows])
-        found = suited(scaled, advance=advance)
-        if found.curvatures is not None:
-            with np.errstate(over="ignore"):  # parts of less than 1e-38 have curvatures beyond float32
-                found = replace(found, curvatures=np.ldexp(found.curvatures, exponent))
-        predictions.append(found)
-        names.append(suited.name)
-        warnings += said
-    if not estimator.has_curvature:
-        predictions = [replace(found, curvatures=None) for found in predictions]
-    together = joined(predictions)[np.argsort(np.concatenate(parts))]
-    return together, (names or [estimator.name])[0], list(dict.fromkeys(warnings))
-
-
-def _nothing(count: int) -> Prediction:
-    """What can be said of so few points that they span no plane."""
-    unknown = np.full((count, 3), np.nan, dtype=np.float32)
-    return Prediction(unknown, unknown, np.zeros(count, np.float32), unknown[:, :2])
-
-
-def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tuple[Estimator, list[str]]:
-    """The estimator for a cloud of so many points, and what to say if it is not quite the one asked for."""
-    from jetnormal.estimators.factory import make_estimator
-
-    if count < estimator.min_points:
-        jet = make_estimator("jet", k=min(max(3, count), FEW_NEIGHBORS), **_resources(options))
-        fitted = f"jets of {jet.neighbors} neighbors were fitted instead"
-        return jet, [f"{count} points are too few for {estimator.name}: {fitted}"]
-    if count >= estimator.neighbors:
-        return estimator, []
-    return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
-
-
-def _curvatures(prediction: Prediction, orientation: Orientation) -> NDArray[np.float32] | None:
-    """Principal curvatures (N, 2), the larger first, by the normals with their final signs."""
-    curvatures = prediction.curvatures
-    if curvatures is None:
-        return None
-    # a normal that was turned round sees every bend from the other side
-    turned = (orientation.normals * prediction.normals).sum(axis=1) < 0
-    return np.where(turned[:, None], -curvatures[:, ::-1], curvatures)
-
-
-def _gaps(non_finite: int, degenerate: int) -> list[str]:
+def gaps(non_finite: int, degenerate: int) -> list[str]:
+    """What to say about points without a normal."""
     warnings = []
     if non_finite:
         warnings.append(f"{non_finite} points have no finite coordinates; their normals are NaN")

@@ -6,6 +6,7 @@ This module imports nothing heavy: the command line needs it to print its help.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import KW_ONLY, dataclass
 from os import PathLike
 from typing import Annotated, Any, Literal
@@ -54,6 +55,15 @@ def parse_component(text: str) -> int | Literal["largest"]:
         return int(text)
     except ValueError:
         raise ValueError(f"{text!r} is no number of points and not the word largest") from None
+
+
+def parse_bytes(text: str) -> int:
+    """Turn "4GB", "500 MB" or a number of bytes into bytes."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(i?)B?", text.strip(), re.IGNORECASE)
+    if match is None:
+        raise ValueError(f"{text!r} is no size such as 4GB or 500MB")
+    unit = 1024 if match[3] else 1000
+    return round(float(match[1]) * unit ** " KMGT".index(match[2].upper() or " "))
 
 
 def complete_model(text: str) -> list[str]:
@@ -220,6 +230,38 @@ class BatchOptions(OptionSet):
         super().__post_init__()
         if {"/", "\\"} & set(self.suffix):
             raise UsageError(f"`suffix` is the end of a name, not a path: {self.suffix!r}")
+
+
+@dataclass(frozen=True)
+class LargeOptions(OptionSet):
+    """How a cloud that is larger than memory is computed in tiles."""
+
+    _: KW_ONLY
+    max_memory: Annotated[
+        int | None,
+        Option(
+            "Memory to use, such as 4GB; a cloud that would take more is computed in tiles on disk.",
+            parse=parse_bytes, metavar="SIZE", default="60 % of the machine's", group="Large clouds",
+        ),
+    ] = None  # fmt: skip
+    resume: Annotated[bool, Option("Go on with the tiles that an interrupted run has left.", group="Large clouds")] = (
+        False
+    )
+    cluster: Annotated[
+        str | None,
+        Option(
+            "Compute tiles by Ray: local, auto (this machine's cluster), or ray://HOST:10001.",
+            metavar="ADDRESS", group="Large clouds",
+        ),
+    ] = None  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_memory is not None and self.max_memory <= 0:
+            raise UsageError(f"`max_memory` is a number of bytes above 0, not {self.max_memory}")
+        known = self.cluster is None or self.cluster in ("local", "auto") or self.cluster.startswith("ray://")
+        if not known:
+            raise UsageError(f"`cluster` is local, auto or ray://HOST:10001, not {self.cluster!r}")
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,10 @@ from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError
 from jetnormal.formats.meshes import check_mesh_target, gltf_offset, write_mesh
 from jetnormal.formats.ply import PlyExtra
-from jetnormal.jobs.estimate import MAX_COORDINATE, find_normals, prepare_estimator
+from jetnormal.jobs.estimate import MAX_COORDINATE, find_normals
 from jetnormal.jobs.files import check_format, read_file
 from jetnormal.jobs.options import DEPTHS, ReadOptions, ReconstructOptions
+from jetnormal.jobs.prediction import prepare_estimator
 from jetnormal.mesh import Mesh
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb
 

@@ -1,0 +1,88 @@
+"""What a run takes: memory of a cloud that is computed at once, points of a tile, and bytes on the disk."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+from jetnormal import formats
+from jetnormal.errors import InputError, ResourceError
+from jetnormal.estimators.blocks import CORE, HALO_SHARE
+from jetnormal.formats import CloudStream
+from jetnormal.jobs.options import LargeOptions, ReadOptions
+
+SHARE = 0.6  # of the machine's memory
+PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
+PER_POINT = 700  # bytes of a cloud that is computed at once, and of a tile, at the peak
+LEAST_TILE = 20_000  # points
+LINE = 25  # bytes of a point in a text file, at least
+ON_DISK = 70  # bytes of a point in its tile, with what is found of it
+
+
+def machine_memory() -> int:
+    """Bytes of memory that this machine, or the container that the process is in, has."""
+    limits = []
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        limits.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    for name in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
+        if sys.platform == "linux" and (text := _text(Path(name))).isdigit():
+            limits.append(int(text))
+    return min(limits, default=8 << 30)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""
+
+
+def at_once(path: Path, files: ReadOptions) -> int:
+    """Estimate the bytes that a cloud takes that is computed at once, without reading it."""
+    known = formats.find_format(path, formats.format_for(path, files.format))
+    try:
+        size = path.stat().st_size
+    except OSError:
+        return 0  # reading it will tell what is wrong
+    if known.stream is not None and known.name != "xyz":
+        try:
+            stream = known.stream(path)
+        except InputError:  # what is wrong, or not in pieces, reading tells
+            return PROGRAM + size // LINE * PER_POINT
+        return PROGRAM + stream.points * (PER_POINT + 2 * stream.bytes_per_point)
+    return PROGRAM + size // LINE * PER_POINT
+
+
+def points_of_a_tile(source: Path, files: ReadOptions, large: LargeOptions) -> int | None:
+    """Find how many points a tile may have; None if the cloud is computed at once.
+
+    Raises:
+        InputError: the cloud takes more memory than there is, and its format is not read in pieces.
+        ResourceError: the memory is too little for any tile.
+    """
+    limit = large.max_memory or round(SHARE * machine_memory())
+    needed = at_once(source, files)
+    if needed <= limit and not large.resume and large.cluster is None:
+        return None
+    largest = int((limit - PROGRAM) / (PER_POINT * (1 + HALO_SHARE)))
+    if largest < LEAST_TILE:
+        least = (PROGRAM + LEAST_TILE * PER_POINT * (1 + HALO_SHARE)) / 1e9
+        raise ResourceError(f"`max_memory` is {limit / 1e9:.2g} GB, but a tile needs {least:.1f} GB")
+    return min(CORE, largest)
+
+
+def check_disk(folder: Path, stream: CloudStream, source: Path) -> None:
+    """Find out before the work whether the tiles and the output fit on the disk.
+
+    Raises:
+        InputError: they do not.
+    """
+    needed = stream.points * (ON_DISK + 12) + source.stat().st_size
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise InputError(
+            f"{folder}: the tiles and the output need {needed / 1e9:.3g} GB, but {free / 1e9:.3g} GB are free; free "
+            "some space or choose another output"
+        )

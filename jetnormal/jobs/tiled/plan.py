@@ -1,0 +1,159 @@
+"""The first two looks at a large cloud: where to cut it, and each point into its tile."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.cloud import Cloud
+from jetnormal.errors import InputError
+from jetnormal.formats import CloudStream
+from jetnormal.formats.streams import ROWS
+from jetnormal.jobs.estimate import MAX_COORDINATE
+from jetnormal.jobs.options import EstimateOptions
+from jetnormal.jobs.tiled.partition import SAMPLE, Partition, cut_into_tiles
+from jetnormal.jobs.tiled.store import Store
+from jetnormal.support.report import progress
+
+Floats = NDArray[np.float64]
+
+PLAN = "plan"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is known of all tiles.
+
+    Attributes:
+        points: rows of the file.
+        counts: finite points of each tile.
+        boxes: (T, 2, 3) least and largest coordinates of each tile.
+        sensors: who says where the points were seen from; None if nobody does.
+        place: (3,) where all were seen from; None if each has a place of its own, or none.
+        unseen: points for which that is not known.
+    """
+
+    points: int
+    counts: list[int]
+    boxes: Floats
+    sensors: str | None
+    place: Floats | None
+    unseen: int
+
+    @classmethod
+    def of(cls, store: Store) -> Plan | None:
+        """The plan of a folder; None if its points are not in their tiles yet."""
+        content = store.read_json(PLAN)
+        if content is None:
+            return None
+        place = None if content["place"] is None else np.asarray(content["place"])
+        return cls(
+            content["points"],
+            content["counts"],
+            np.asarray(content["boxes"]),
+            content["sensors"],
+            place,
+            content["unseen"],
+        )
+
+    @property
+    def box(self) -> Floats:
+        """(2, 3) of all finite points."""
+        return np.stack([self.boxes[:, 0].min(axis=0), self.boxes[:, 1].max(axis=0)])
+
+    def near(self, tile: int, width: float) -> list[int]:
+        """The other tiles whose boxes are nearer to that of a tile than a width, along each axis."""
+        low, high = self.boxes[tile, 0] - width, self.boxes[tile, 1] + width
+        meets = ((self.boxes[:, 0] <= high) & (self.boxes[:, 1] >= low)).all(axis=1)
+        return [int(other) for other in np.flatnonzero(meets) if other != tile]
+
+
+def distribute(stream: CloudStream, store: Store, options: EstimateOptions, largest: int) -> Plan:
+    """Write the finite points of a file into tiles.
+
+    Args:
+        stream: the file.
+        store: an empty folder.
+        options: tell what is known of the sensor.
+        largest: points of a tile, about.
+
+    Raises:
+        InputError: the file holds no surface, or coordinates that cannot be computed with.
+    """
+    with progress("reading points", 2 * stream.points) as advance:
+        sample, finite = _sample(stream, advance)
+        if len(sample) < 3:
+            raise InputError(f"{finite} finite points of {stream.points}: a normal needs at least 3")
+        partition = cut_into_tiles(sample, finite, largest)
+        plan = _write_tiles(stream, store, options, partition, advance)
+    content = asdict(plan) | {
+        "boxes": plan.boxes.tolist(),
+        "place": None if plan.place is None else plan.place.tolist(),
+    }
+    store.write_json(PLAN, content)
+    return plan
+
+
+def _sample(stream: CloudStream, advance: Any) -> tuple[Floats, int]:
+    """Some points, drawn evenly, and how many are finite."""
+    rng = np.random.default_rng(0)
+    share, parts, finite = min(1.0, SAMPLE / max(1, stream.points)), [], 0
+    for cloud in stream.pieces(ROWS):
+        points = cloud.points[cloud.valid]
+        largest = max(points.max(initial=0), -points.min(initial=0))
+        if largest > MAX_COORDINATE:
+            raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
+        finite += len(points)
+        parts.append(points if share == 1 else points[rng.random(len(points)) < share])
+        advance(len(cloud))
+    return np.concatenate(parts), finite
+
+
+def _write_tiles(
+    stream: CloudStream, store: Store, options: EstimateOptions, partition: Partition, advance: Any
+) -> Plan:
+    from jetnormal.orientation.policy import find_sensors
+
+    count = partition.tiles
+    counts = np.zeros(count, dtype=np.int64)
+    boxes = np.tile(np.array([[np.inf], [-np.inf]]), (count, 1, 3))
+    reason, place, start, unseen = None, None, 0, 0
+    for cloud in stream.pieces(ROWS):
+        sensors = find_sensors(options, cloud)
+        if sensors is not None:
+            reason, place = sensors.reason, sensors.places if sensors.places.ndim == 1 else None
+        places = sensors.places if sensors is not None and sensors.places.ndim == 2 else None
+        if places is not None:
+            unseen += int((~np.isfinite(places).all(axis=1)).sum())
+        _append(store, partition, cloud, start, places, counts, boxes)
+        start += len(cloud)
+        advance(len(cloud))
+    return Plan(start, counts.tolist(), boxes, reason, place, unseen)
+
+
+def _append(
+    store: Store,
+    partition: Partition,
+    cloud: Cloud,
+    start: int,
+    places: Floats | None,
+    counts: NDArray[np.int64],
+    boxes: Floats,
+) -> None:
+    """Append the finite points of a piece, whose first row is `start`, to their tiles."""
+    rows = np.flatnonzero(cloud.valid)
+    tile = partition.tile_of(cloud.points[rows])
+    order = np.argsort(tile, kind="stable")
+    numbers, begins = np.unique(tile[order], return_index=True)
+    for number, part in zip(numbers, np.split(rows[order], begins[1:]), strict=True):
+        points = cloud.points[part]
+        store.append("points", number, points)
+        store.append("rows", number, part + start)
+        if places is not None:
+            store.append("sensors", number, places[part])
+        counts[number] += len(part)
+        low, high = boxes[number]
+        boxes[number] = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))

@@ -1,0 +1,110 @@
+"""The folder of tiles: what is on disk while a large cloud is computed. A file in it is complete or not there.
+
+plan.json            what is computed, and where the cloud is cut; there once all points are in their tiles
+00012.points         (n, 3) float64, in the order of the input
+00012.rows           (n,) int64, which rows of the input they are
+00012.sensors        (n, 3) float64, where each was seen from, if that is known for each
+00012.found.npy      (n,) FOUND, the estimator's directions
+00012.sample.npy     rows of the tile that may go into the thinned cloud
+thinned.npz          the thinned cloud with signs
+00012.signed.npy     (n,) SIGNED, the signs of the directions
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+FOUND = np.dtype([("normal", "f4", 3), ("confidence", "f4"), ("curvatures", "f4", 2)])
+SIGNED = np.dtype([("flip", "?"), ("sure", "f4")])
+_RAW = {"points": (np.dtype(np.float64), (3,)), "rows": (np.dtype(np.int64), ()), "sensors": (np.dtype("f8"), (3,))}
+
+
+@dataclass(frozen=True)
+class Store:
+    """The files of a folder of tiles, by the number of the tile."""
+
+    folder: Path
+
+    def append(self, kind: str, tile: int, values: NDArray[Any]) -> None:
+        """Append rows to the points, rows or sensors of a tile."""
+        with self._path(tile, kind).open("ab") as stream:
+            stream.write(np.ascontiguousarray(values, _RAW[kind][0]).tobytes())
+
+    def raw(self, kind: str, tile: int) -> NDArray[Any]:
+        """Map the points, rows or sensors of a tile into memory."""
+        dtype, shape = _RAW[kind]
+        path = self._path(tile, kind)
+        count = path.stat().st_size // (dtype.itemsize * int(np.prod(shape)))
+        return np.memmap(path, dtype, "r", shape=(count, *shape)) if count else np.empty((0, *shape), dtype)
+
+    def has(self, kind: str, tile: int) -> bool:
+        """Tell whether a tile has an array."""
+        return self._path(tile, f"{kind}.npy").exists()
+
+    def save(self, kind: str, tile: int, values: NDArray[Any]) -> None:
+        """Write an array of a tile."""
+        with self._fresh(f"{tile:05}.{kind}.npy") as temporary, temporary.open("wb") as stream:
+            np.save(stream, values, allow_pickle=False)
+
+    def load(self, kind: str, tile: int) -> NDArray[Any]:
+        """Map an array of a tile into memory."""
+        loaded: NDArray[Any] = np.load(self._path(tile, f"{kind}.npy"), mmap_mode="r", allow_pickle=False)
+        return loaded
+
+    def write_json(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write what is known of all tiles, or of one."""
+        with self._fresh(f"{name}.json") as temporary:
+            temporary.write_text(json.dumps(content), encoding="utf-8")
+
+    def read_json(self, name: str) -> dict[str, Any] | None:
+        """Read it; None if it is not there."""
+        path = self.folder / f"{name}.json"
+        content: dict[str, Any] | None = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+        return content
+
+    def write_arrays(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Write arrays under their names."""
+        with self._fresh(f"{name}.npz") as temporary, temporary.open("wb") as stream:
+            np.savez(stream, **arrays)  # type: ignore[arg-type]
+
+    def read_arrays(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """Read them; None if they are not there."""
+        path = self.folder / f"{name}.npz"
+        if not path.exists():
+            return None
+        with np.load(path, allow_pickle=False) as held:
+            return {key: held[key] for key in held.files}
+
+    def _path(self, tile: int, kind: str) -> Path:
+        return self.folder / f"{tile:05}.{kind}"
+
+    def _fresh(self, name: str) -> _Fresh:
+        return _Fresh(self.folder / name)
+
+
+class _Fresh:
+    """A temporary file that takes its name when the block ends; two workers may write the same at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
+
+    def __enter__(self) -> Path:
+        return self._temporary
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self._temporary.replace(self._path)
+        else:
+            self._temporary.unlink(missing_ok=True)

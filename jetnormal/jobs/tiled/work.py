@@ -1,0 +1,150 @@
+"""What is done with a tile: the directions of its points, and later their signs. It needs the folder alone."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.cloud import Source
+from jetnormal.estimators.base import Estimator
+from jetnormal.estimators.blocks import HALO, halo_width, spatial_order, with_halo
+from jetnormal.geometry.neighbors import NeighborIndex, distinct
+from jetnormal.jobs.options import EstimateOptions
+from jetnormal.jobs.prediction import predict, prepare_estimator
+from jetnormal.jobs.tiled.plan import Plan
+from jetnormal.jobs.tiled.store import FOUND, SIGNED, Store
+from jetnormal.orientation.carrying import Thinned, carry_signs
+from jetnormal.orientation.policy import settle
+from jetnormal.orientation.sensors import Sensors
+
+Floats = NDArray[np.float64]
+
+SIGN_HALO = 6.0  # width, in root mean square distances of the 16 neighbors, of what is seen for signs
+CANDIDATES = 20_000  # points of a tile that may go into the thinned cloud
+SPACING_NEIGHBORS = 8
+
+SAMPLED = 20_000  # points that tell how far apart the points of a tile are
+
+THINNED = "thinned"
+FIND, SIGN = "found", "signed"
+"""The two tasks of a tile, by the name of what they leave behind."""
+
+
+def run_task(folder: Path, kind: str, tile: int, options: EstimateOptions) -> int:
+    """Do a task of a tile, unless it is done already; return the number of points."""
+    store = Store(folder)
+    plan = Plan.of(store)
+    assert plan is not None
+    if not store.has(kind, tile):
+        if kind == FIND:
+            find_directions(store, plan, tile, options, _estimator(options))
+        else:
+            find_signs(store, plan, tile, options)
+    return plan.counts[tile]
+
+
+@cache
+def _thinned(folder: Path) -> Thinned:
+    """The thinned cloud, once for all tiles of a process."""
+    arrays = Store(folder).read_arrays(THINNED)
+    assert arrays is not None
+    return Thinned(**arrays)
+
+
+@cache
+def _estimator(options: EstimateOptions) -> Estimator:
+    """One model for all tiles of a process."""
+    return prepare_estimator(options)
+
+
+def find_directions(store: Store, plan: Plan, tile: int, options: EstimateOptions, estimator: Estimator) -> None:
+    """Estimate the directions of a tile, which sees what lies around it."""
+    points = np.array(store.raw("points", tile))
+    first, copies = distinct(points)
+    core = points[first]
+    width = halo_width(core, options.threads)
+    around = [_near(store, plan, tile, other, width)[0] for other in plan.near(tile, width)]
+    halo = np.concatenate([np.zeros((0, 3)), *around])
+    seen = np.concatenate([core, halo[distinct(halo)[0]]])  # copies of a point are in one tile
+    seen = seen[with_halo(seen, np.arange(len(core)), width)]
+    prediction, name, warnings = predict(seen, estimator, options, _silent, np.arange(len(core)))
+    found = np.empty(len(core), FOUND)
+    found["normal"], found["confidence"] = prediction.normals, prediction.confidence
+    found["curvatures"] = np.nan if prediction.curvatures is None else prediction.curvatures
+    store.save("sample", tile, first[_candidates(core, options.threads)])
+    said = {"model": name, "warnings": warnings, "has_curvature": prediction.curvatures is not None}
+    degenerate = ~np.isfinite(found["normal"]).all(axis=1)
+    store.write_json(f"{tile:05}", said | {"degenerate": int(degenerate[copies].sum())})
+    store.save(FIND, tile, found[copies])
+
+
+def find_signs(store: Store, plan: Plan, tile: int, options: EstimateOptions) -> None:
+    """Choose the signs of a tile: by its sensors or the option, or those of the thinned cloud."""
+    points, normals, sensors, owner = _with_neighbors(store, plan, tile, options)
+    if signs_are_local(plan, options):
+        orientation, _ = settle(points, normals, options.orient, sensors, Source())
+        flips = np.einsum("nd,nd->n", orientation.normals, normals) < 0
+        sure = orientation.confidence.astype(np.float64)
+    else:
+        flips, sure = carry_signs(points, normals, _thinned(store.folder))
+    count = plan.counts[tile]
+    signed = np.zeros(count, SIGNED)
+    signed["flip"], signed["sure"] = flips[owner], sure[owner]
+    store.save(SIGN, tile, signed)
+
+
+def signs_are_local(plan: Plan, options: EstimateOptions) -> bool:
+    """Tell whether what is near a point tells its sign."""
+    return plan.sensors is not None or options.orient in ("up", "none")
+
+
+def _with_neighbors(
+    store: Store, plan: Plan, tile: int, options: EstimateOptions
+) -> tuple[Floats, Floats, Sensors | None, NDArray[np.int64]]:
+    """Distinct points of a tile and of what is near, directions, sensors, and the rows (n,) of the tile's points."""
+    inside = store.raw("points", tile)
+    width = SIGN_HALO / HALO * halo_width(np.array(inside[:: max(1, len(inside) // SAMPLED)]), options.threads)
+    parts, directions, places = [np.array(inside)], [store.load(FIND, tile)["normal"]], []
+    has_places = plan.sensors is not None and plan.place is None
+    if has_places:
+        places.append(np.array(store.raw("sensors", tile)))
+    for other in plan.near(tile, width):
+        near, rows = _near(store, plan, tile, other, width)
+        parts.append(near)
+        directions.append(store.load(FIND, other)["normal"][rows])
+        if has_places:
+            places.append(np.array(store.raw("sensors", other)[rows]))
+    points = np.concatenate(parts)
+    first, copies = distinct(points)
+    normals = np.concatenate(directions)[first].astype(np.float64)
+    sensors = None
+    if plan.place is not None:
+        sensors = Sensors(plan.place, str(plan.sensors))
+    elif has_places:
+        sensors = Sensors(np.concatenate(places)[first], str(plan.sensors))
+    return points[first], normals, sensors, copies[: len(inside)]
+
+
+def _near(store: Store, plan: Plan, tile: int, other: int, width: float) -> tuple[Floats, NDArray[np.int64]]:
+    """The points of another tile that are nearer to the box of a tile than a width, and their rows there."""
+    points, (low, high) = store.raw("points", other), plan.boxes[tile]
+    rows = np.flatnonzero(((points >= low - width) & (points <= high + width)).all(axis=1))
+    return np.array(points[rows]), rows
+
+
+def _candidates(points: Floats, threads: int | None) -> NDArray[np.int64]:
+    """Rows of a tile that may go into the thinned cloud: the closer points are, the fewer of them."""
+    if len(points) <= CANDIDATES:
+        return np.arange(len(points))
+    _, distances = NeighborIndex(points, threads=threads).query(points, SPACING_NEIGHBORS + 1)
+    order = spatial_order(points)
+    weight = np.cumsum(distances[order, -1])
+    steps = (np.arange(CANDIDATES) + 0.5) * (weight[-1] / CANDIDATES)
+    return np.unique(order[np.searchsorted(weight, steps)])
+
+
+def _silent(count: int, note: str = "") -> None:
+    """Show no progress within a tile."""

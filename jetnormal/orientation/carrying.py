@@ -1,0 +1,87 @@
+"""Signs of a thinned cloud, carried to points of the whole cloud.
+
+The nearest oriented point may lie on the other side of a thin part. So points first join to the patches in which all
+signs agree, as for the signs of a whole cloud; oriented points that belong to a patch tell its sign, and couplings
+between patches carry it to those that hold none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.orientation.agreement import Surface, couplings, patches, relax, revote
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+NEAREST = 8  # oriented points that tell the sign of what hangs together with none
+HEARSAY = 0.01  # weight of the nearest oriented points over that of one that is the point itself
+TOLD = 1.0  # what the oriented points say over what the couplings say, if all agree
+
+
+@dataclass(frozen=True)
+class Thinned:
+    """An oriented part of a cloud.
+
+    Attributes:
+        points: (M, 3).
+        normals: (M, 3) unit vectors with their final signs.
+        sure: (M,) how sure each sign is, 0 to 1.
+    """
+
+    points: Floats
+    normals: Floats
+    sure: Floats
+
+    @cached_property
+    def index(self) -> NeighborIndex:
+        """Of the points."""
+        return NeighborIndex(self.points)
+
+    def votes(self, points: Floats, normals: Floats) -> tuple[Floats, Bools]:
+        """What the thinned cloud says of directions (N, 3): votes (N,) for their signs, and which points it holds."""
+        near, distances = self.index.query(points, min(NEAREST, len(self.points)))
+        cosine = np.einsum("nd,nkd->nk", normals, self.normals[near])
+        votes = HEARSAY * (cosine * np.abs(cosine) * self.sure[near]).mean(axis=1)
+        is_own = distances[:, 0] == 0
+        votes[is_own] = np.copysign(self.sure[near[is_own, 0]], cosine[is_own, 0])
+        return votes, is_own
+
+
+def carry_signs(points: Floats, normals: Floats, thinned: Thinned) -> tuple[Bools, Floats]:
+    """Find the signs of points by those of a thinned cloud.
+
+    Args:
+        points: (N, 3) different, finite points; where the thinned cloud has points among them, they tell most.
+        normals: (N, 3) directions of any sign; NaN where there is none.
+        thinned: what is known.
+
+    Returns:
+        Which normals (N,) to flip, and how sure each sign is, 0 to 1.
+    """
+    flips, sure = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points))
+    rows = np.flatnonzero(np.isfinite(normals).all(axis=1))
+    if not len(rows) or not len(thinned.points):
+        return flips, sure
+    told, is_own = thinned.votes(points[rows], normals[rows])
+    if is_own.all():
+        flips[rows], sure[rows] = told < 0, np.abs(told)
+        return flips, sure
+    surface = Surface(points[rows] - np.median(points[rows], axis=0), normals[rows].copy())
+    turned, patch = patches(surface)
+    surface.turn(turned)
+    told[turned] *= -1
+    count = int(patch.max()) + 1
+    coupling = couplings(surface, patch, np.zeros(len(rows), dtype=np.bool_))
+    votes: Floats = np.bincount(patch, told, count).astype(np.float64)
+    total, strength = float(np.abs(votes).sum()), float(abs(coupling).sum()) / 2
+    belief = relax(coupling, votes * (TOLD * strength / total if total > 0 and strength > 0 else 1))
+    surface.turn((belief < 0)[patch])
+    sure[rows] = revote(surface) * np.abs(belief)[patch]
+    flips[rows] = np.einsum("nd,nd->n", surface.normals, normals[rows]) < 0
+    return flips, sure

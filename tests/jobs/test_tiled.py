@@ -1,0 +1,157 @@
+"""Clouds in tiles are the clouds computed at once: small ones here, with tiles that are smaller still."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections import namedtuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jetnormal.cloud import Cloud
+from jetnormal.errors import InputError, UsageError
+from jetnormal.formats import read, write
+from jetnormal.jobs import memory
+from jetnormal.jobs.estimate import estimate_file
+from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions
+from jetnormal.jobs.tiled.partition import cut_into_tiles
+from jetnormal.jobs.tiled.run import estimate_in_tiles
+
+JET = EstimateOptions("jet:k=20,order=2", confidence=True, curvature=True, sign_confidence=True)
+TILE = 1200
+
+
+def sphere_cloud(count: int = 5000) -> Cloud:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(count, 3))
+    points = np.round(points / np.linalg.norm(points, axis=1, keepdims=True), 4)
+    points[7], points[8] = points[6], np.nan
+    return Cloud(points, None, {"label": rng.integers(0, 9, count).astype(np.int32)})
+
+
+def in_tiles(source: Path, target: Path, options: EstimateOptions = JET, **settings):
+    return estimate_in_tiles(source, target, options, FileOptions(), **{"largest": TILE, **settings})
+
+
+VARYING = ("seconds", "output", "points_per_second", "tiles", "peak_memory_mb", "warnings")
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.pcd", "a.npy", "a.xyz"])
+def test_tiles_give_what_the_whole_gives(tmp_path, name):
+    """Patches are the same points, and all points are in the thinned cloud: every value is the same."""
+    source, whole, tiled = tmp_path / name, tmp_path / f"whole_{name}", tmp_path / f"tiled_{name}"
+    write(sphere_cloud(), source)
+    first, second = estimate_file(source, whole, JET), in_tiles(source, tiled)
+    assert second["tiles"]["count"] >= 4
+    assert {key: value for key, value in second.items() if key not in VARYING} == {
+        key: value for key, value in first.items() if key not in VARYING
+    }
+    assert [w.replace("tiled_", "whole_") for w in second["warnings"]] == first["warnings"]
+    a, b = read(whole), read(tiled)
+    np.testing.assert_allclose(b.normals, a.normals, atol=1e-6)
+    assert b.points.tobytes() == a.points.tobytes() and list(b.attributes) == list(a.attributes)
+    for key, values in a.attributes.items():
+        assert b.attributes[key].dtype == values.dtype
+        np.testing.assert_allclose(b.attributes[key], values, atol=1e-4)
+    assert not (tmp_path / f"tiled_{name}.tiles").exists()
+
+
+def test_the_default_model_and_a_las_file(tmp_path):
+    """The network sees far, so that halos matter; a viewpoint settles the signs of each tile alone."""
+    pytest.importorskip("laspy")
+    options = EstimateOptions(viewpoint=(0, 0, 0))
+    write(sphere_cloud(6000), tmp_path / "a.las")
+    estimate_file(tmp_path / "a.las", tmp_path / "whole.las", options)
+    in_tiles(tmp_path / "a.las", tmp_path / "tiled.las", options)
+    a, b = read(tmp_path / "whole.las"), read(tmp_path / "tiled.las")
+    assert b.points.tobytes() == a.points.tobytes()
+    np.testing.assert_array_equal(b.attributes["label"], a.attributes["label"])
+    cosine = np.einsum("nd,nd->n", a.normals, b.normals)
+    assert (cosine > 0).all() and np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 1.0
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from jetnormal.jobs.options import EstimateOptions, FileOptions
+from jetnormal.jobs.tiled import run, work
+
+done = 0
+def task(*arguments):
+    global done
+    done += 1
+    if done > int(sys.argv[3]):
+        os.kill(os.getpid(), 9)
+    return work.run_task(*arguments)
+
+run.run_task = task
+options = EstimateOptions("jet:k=20,order=2", confidence=True, curvature=True, sign_confidence=True)
+run.estimate_in_tiles(Path(sys.argv[1]), Path(sys.argv[2]), options, FileOptions(), largest=1200)
+"""
+
+
+@pytest.mark.parametrize("tasks", [2, 9])
+def test_a_killed_run_goes_on_and_ends_with_the_same_bytes(tmp_path, tasks):
+    """Killed while directions are estimated, and while signs are chosen."""
+    source, whole, resumed = (tmp_path / name for name in ("a.ply", "whole.ply", "resumed.ply"))
+    write(sphere_cloud(), source)
+    in_tiles(source, whole)
+    command = [sys.executable, "-c", KILLED, source, resumed, str(tasks)]
+    assert subprocess.run(command, timeout=300).returncode == -9
+    assert not resumed.exists()
+    with pytest.raises(UsageError, match="go on with `resume`"):
+        in_tiles(source, resumed)
+    with pytest.raises(UsageError, match="made with another options"):
+        in_tiles(source, resumed, EstimateOptions("jet:k=30"), resume=True)
+    in_tiles(source, resumed, resume=True)
+    assert resumed.read_bytes() == whole.read_bytes()
+    assert not (tmp_path / "resumed.ply.tiles").exists()
+
+
+def test_what_is_resumed_must_be_there_and_of_this_input(tmp_path, monkeypatch, caplog):
+    source, target = tmp_path / "a.ply", tmp_path / "b.ply"
+    write(sphere_cloud(), source)
+    with pytest.raises(UsageError, match="nothing to go on with"):
+        in_tiles(source, target, resume=True)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jetnormal.jobs.tiled.run.run_task", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        in_tiles(source, target)
+    assert "is kept" in caplog.text
+    write(sphere_cloud(4000), source, overwrite=True)
+    with pytest.raises(UsageError, match="made with another input"):
+        in_tiles(source, target, resume=True)
+
+
+def test_a_full_disk_is_told_before_the_work(tmp_path, monkeypatch):
+    write(sphere_cloud(), tmp_path / "a.ply")
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(0, 0, 100_000))
+    with pytest.raises(InputError, match=r"need 0\.0\d+ GB, but 0\.0001 GB are free; free some space"):
+        in_tiles(tmp_path / "a.ply", tmp_path / "b.ply")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_a_cloud_beyond_the_memory_goes_in_tiles(tmp_path, monkeypatch):
+    write(sphere_cloud(), tmp_path / "a.ply")
+    monkeypatch.setattr(memory, "PROGRAM", 0)
+    monkeypatch.setattr(memory, "LEAST_TILE", 100)
+    monkeypatch.setattr(memory, "machine_memory", lambda: 5_000_000)
+    assert "tiles" in estimate_file(tmp_path / "a.ply", tmp_path / "b.ply", JET)
+    large = LargeOptions(max_memory=100_000_000)
+    assert "tiles" not in estimate_file(tmp_path / "a.ply", tmp_path / "c.ply", JET, large=large)
+
+
+def test_tiles_are_even_where_density_is_not():
+    rng = np.random.default_rng(0)
+    sparse, dense = rng.random((2_000, 3)), rng.random((200_000, 3)) * 0.1
+    points = np.concatenate([sparse, dense, np.zeros((5000, 3))])
+    partition = cut_into_tiles(points[::10], len(points), 10_000)
+    counts = np.bincount(partition.tile_of(points), minlength=partition.tiles)
+    assert counts.min() > 0 and counts.max() < 1.3 * 10_000 and partition.tiles < 50
