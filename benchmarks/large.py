@@ -6,8 +6,16 @@ python benchmarks/large.py scan --points 3000000 scan.las
 from __future__ import annotations
 
 import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,14 +146,95 @@ def write_scan(path: Path, points: int) -> None:
             writer.write_points(record)
 
 
+def run(source: Path, target: Path, limit: str, cluster: str | None) -> dict[str, Any]:
+    """Run the command on a file; return its summary with seconds of CPU, and its memory in bytes at the peak."""
+    command = [sys.executable, "-m", "jetnormal", "estimate", str(source), "-o", str(target), "--force", "--json"]
+    command += ["--max-memory", limit, *(["--cluster", cluster] if cluster else [])]
+    start = time.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        memory, status = 0, None
+        while status is None:
+            memory = max(memory, sum(map(held_by, family(process.pid))))
+            time.sleep(0.2)
+            pid, ended, used = os.wait4(process.pid, os.WNOHANG)
+            status = ended if pid else None
+        assert process.stdout is not None
+        summary: dict[str, Any] = json.loads(process.stdout.read())
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(command)} failed")
+    return summary | {"wall": time.perf_counter() - start, "cpu": used.ru_utime + used.ru_stime, "memory": memory}
+
+
+def family(pid: int) -> list[int]:
+    """A process and all that it has begun."""
+    found = [pid]
+    for parent in found:
+        with suppress(OSError):
+            for task in Path(f"/proc/{parent}/task").iterdir():
+                found += map(int, (task / "children").read_text().split())
+    return found
+
+
+def held_by(pid: int) -> int:
+    """Bytes of memory that are a process's own."""
+    with suppress(OSError):
+        for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+            if line.startswith("RssAnon:"):
+                return int(line.split()[1]) * 1024
+    return 0
+
+
+def report(points: int, how: str, found: dict[str, Any]) -> None:
+    """Print a row of the table."""
+    tiles = found.get("tiles", {})
+    stages = ", ".join(f"{name} {seconds:.0f}" for name, seconds in found["seconds"].items())
+    millions = points / 1e6
+    cells = [f"{points:,}", how, tiles.get("count", 1), f"{found['wall']:.0f}", f"{found['cpu'] / millions:.1f}"]
+    cells += [f"{found['memory'] / 1e9:.2f}", f"{tiles.get('bytes_on_disk', 0) / 1e9:.2f}", stages]
+    print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+
+
+def compare(first: Path, second: Path) -> str:
+    """Tell how far the normals of two files differ."""
+    from jetnormal.formats import read
+    from jetnormal.geometry.metrics import angles
+
+    a, b = read(first).normals, read(second).normals
+    assert a is not None and b is not None
+    both = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    angle = angles(a[both], b[both])
+    same = (np.einsum("ij,ij->i", a[both], b[both]) > 0).mean()
+    shares = " ".join(f"{np.quantile(angle, q):.3f}" for q in (0.5, 0.9, 0.99, 0.999, 1))
+    rms = float(np.sqrt(np.square(angle).mean()))
+    return f"rms {rms:.4f} degrees (at 50 90 99 99.9 100 %: {shares}), signs equal for {100 * same:.3f} %"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(dest="command", required=True)
-    made = commands.add_parser("scan", help="write the scan alone")
-    made.add_argument("--points", type=int, default=3_000_000)
-    made.add_argument("output", type=Path)
+    parser.add_argument("--points", type=int, nargs="+", default=[3_000_000])
+    parser.add_argument("--at-once", type=int, default=3_000_000)
+    parser.add_argument("--max-memory", default="2GB")
+    parser.add_argument("--cluster", default=None)
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
+    parser.add_argument("--scan", type=Path, default=None)
     arguments = parser.parse_args()
-    write_scan(arguments.output, arguments.points)
+    if arguments.scan is not None:
+        write_scan(arguments.scan, arguments.points[0])
+        return
+    print("| points | how | tiles | wall s | CPU s per million | memory GB | disk GB | seconds by stage |")
+    print("|---|---|---|---|---|---|---|---|", flush=True)
+    notes = []
+    for points in arguments.points:
+        source, tiled, whole = (arguments.folder / f"{name}_{points}.las" for name in ("scan", "tiled", "whole"))
+        if not source.exists():
+            write_scan(source, points)
+        if points <= arguments.at_once:
+            report(points, "at once", run(source, whole, "1000GB", None))
+        report(points, "in tiles", run(source, tiled, arguments.max_memory, arguments.cluster))
+        if points <= arguments.at_once:
+            notes.append(f"{points:,} points, tiles against the whole: {compare(tiled, whole)}")
+    print("\n".join(["", *notes]))
 
 
 if __name__ == "__main__":

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from jetnormal.cloud import Cloud
+
 
 def sphere(count: int, seed: int = 0) -> np.ndarray:
     """(count, 3) random points on the unit sphere, which are their own outward normals."""
     points = np.random.default_rng(seed).normal(size=(count, 3))
     return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def sphere_cloud(count: int = 5000) -> Cloud:
+    """A rounded sphere with an attribute; two of its points are one, and a third is not finite."""
+    points = np.round(sphere(count), 4)
+    points[7], points[8] = points[6], np.nan
+    return Cloud(points, None, {"label": np.arange(count, dtype=np.int32) % 9})
 
 
 def even_sphere(count: int) -> np.ndarray:

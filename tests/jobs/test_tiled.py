@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapes import sphere_cloud
 
-from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats import read, write
 from jetnormal.jobs import memory
@@ -22,14 +22,6 @@ from jetnormal.jobs.tiled.run import estimate_in_tiles
 
 JET = EstimateOptions("jet:k=20,order=2", confidence=True, curvature=True, sign_confidence=True)
 TILE = 1200
-
-
-def sphere_cloud(count: int = 5000) -> Cloud:
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(count, 3))
-    points = np.round(points / np.linalg.norm(points, axis=1, keepdims=True), 4)
-    points[7], points[8] = points[6], np.nan
-    return Cloud(points, None, {"label": rng.integers(0, 9, count).astype(np.int32)})
 
 
 def in_tiles(source: Path, target: Path, options: EstimateOptions = JET, **settings):
