@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.estimators.base import Prediction, joined
+from jetnormal.geometry.cells import cut_into_cells, halvings, in_sample
 from jetnormal.geometry.neighbors import NeighborIndex
 
 WHOLE = 500_000  # points: a larger cloud is cut into blocks
-CORE = 250_000  # points of a block, at most, whose normals are kept
+CORE = 250_000  # points of a block, about, whose normals are kept
+ROOM = 1.25  # times as many, at most, since a sample tells the blocks
 HALO = 60.0  # width of what a block sees around its core, in root mean square distances of the 16 neighbors
 HALO_NEIGHBORS = 16
 HALO_SHARE = 1.5  # points of the halo for each point of the core, at most
@@ -33,36 +35,26 @@ def in_blocks(
         threads: CPU threads of the neighbor search; None for all cores.
     """
     queries = np.arange(len(points)) if queries is None else queries
-    is_block = len(queries) <= CORE and len(points) <= (1 + HALO_SHARE) * CORE  # with its halo, of a larger cloud
-    blocks = list(_blocks(points, np.arange(len(points)), len(points) if len(points) <= WHOLE or is_block else CORE))
-    block_of = np.empty(len(points), dtype=np.int32)
-    for number, core in enumerate(blocks):
-        block_of[core] = number
+    is_block = len(queries) <= ROOM * CORE and len(points) <= (1 + HALO_SHARE) * ROOM * CORE  # with its halo
+    if len(points) <= WHOLE or is_block:
+        block_of = np.zeros(len(points), dtype=np.int64)
+    else:
+        times = halvings(len(points))
+        block_of = cut_into_cells(points[in_sample(points, times)], times, CORE).of(points)
     place = np.empty(len(points), dtype=np.int64)
     done, parts = [], []
-    for number, core in enumerate(blocks):
+    for number in range(int(block_of.max()) + 1):
+        core = np.flatnonzero(block_of == number)
         asked = np.flatnonzero(block_of[queries] == number)
         if len(asked) == 0:
             continue
-        rows = core if len(blocks) == 1 else with_halo(points, core, halo_width(points[core], threads))
+        rows = core if len(core) == len(points) else with_halo(points, core, halo_width(points[core], threads))
         rows = rows[spatial_order(points[rows])]
         place[rows] = np.arange(len(rows))
         asked = asked[np.argsort(place[queries[asked]])]
         done.append(asked)
         parts += estimate(points[rows], place[queries[asked]])
     return joined(parts)[np.argsort(np.concatenate(done))]
-
-
-def _blocks(points: NDArray[np.float64], rows: NDArray[np.int64], largest: int) -> Iterator[NDArray[np.int64]]:
-    """Halve the (n,) rows of a cloud across the longest side of their box until none has more than `largest`."""
-    if len(rows) <= largest:
-        yield rows
-        return
-    inside = points[rows]
-    axis = int(np.argmax(np.ptp(inside, axis=0)))
-    order = np.argpartition(inside[:, axis], len(rows) // 2)
-    for half in (order[: len(rows) // 2], order[len(rows) // 2 :]):
-        yield from _blocks(points, rows[half], largest)
 
 
 def with_halo(points: NDArray[np.float64], core: NDArray[np.int64], width: float) -> NDArray[np.int64]:

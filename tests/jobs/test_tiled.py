@@ -13,11 +13,12 @@ import pytest
 from shapes import sphere_cloud
 
 from jetnormal.errors import InputError, UsageError
+from jetnormal.estimators import blocks
 from jetnormal.formats import read, write
+from jetnormal.geometry import cells
 from jetnormal.jobs import memory
 from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions
-from jetnormal.jobs.tiled.partition import cut_into_tiles
 from jetnormal.jobs.tiled.run import estimate_in_tiles
 
 JET = EstimateOptions("jet:k=20,order=2", confidence=True, curvature=True, sign_confidence=True)
@@ -63,6 +64,21 @@ def test_the_default_model_and_a_las_file(tmp_path):
     np.testing.assert_array_equal(b.attributes["label"], a.attributes["label"])
     cosine = np.einsum("nd,nd->n", a.normals, b.normals)
     assert (cosine > 0).all() and np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 1.0
+
+
+def test_tiles_are_the_blocks_of_a_cloud_in_memory(tmp_path, monkeypatch):
+    """The same points in the same cells, with the same halos: the same but for rounding."""
+    monkeypatch.setattr(blocks, "WHOLE", 2000)
+    monkeypatch.setattr(blocks, "CORE", TILE)
+    monkeypatch.setattr(cells, "SAMPLE", 2000)
+    options = EstimateOptions(orient="up", confidence=True)
+    write(sphere_cloud(6000), tmp_path / "a.ply")
+    estimate_file(tmp_path / "a.ply", tmp_path / "whole.ply", options)
+    summary = in_tiles(tmp_path / "a.ply", tmp_path / "tiled.ply", options)
+    assert summary["tiles"]["count"] >= 4
+    a, b = read(tmp_path / "whole.ply"), read(tmp_path / "tiled.ply")
+    np.testing.assert_allclose(b.normals, a.normals, rtol=0, atol=3e-7)
+    np.testing.assert_allclose(b.attributes["confidence"], a.attributes["confidence"], rtol=0, atol=1e-5)
 
 
 KILLED = """
@@ -138,12 +154,3 @@ def test_a_cloud_beyond_the_memory_goes_in_tiles(tmp_path, monkeypatch):
     assert "tiles" in estimate_file(tmp_path / "a.ply", tmp_path / "b.ply", JET)
     large = LargeOptions(max_memory=100_000_000)
     assert "tiles" not in estimate_file(tmp_path / "a.ply", tmp_path / "c.ply", JET, large=large)
-
-
-def test_tiles_are_even_where_density_is_not():
-    rng = np.random.default_rng(0)
-    sparse, dense = rng.random((2_000, 3)), rng.random((200_000, 3)) * 0.1
-    points = np.concatenate([sparse, dense, np.zeros((5000, 3))])
-    partition = cut_into_tiles(points[::10], len(points), 10_000)
-    counts = np.bincount(partition.tile_of(points), minlength=partition.tiles)
-    assert counts.min() > 0 and counts.max() < 1.3 * 10_000 and partition.tiles < 50

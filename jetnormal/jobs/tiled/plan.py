@@ -12,9 +12,10 @@ from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError
 from jetnormal.formats import CloudStream
 from jetnormal.formats.streams import ROWS
+from jetnormal.geometry.cells import Cells, cut_into_cells, halvings, in_sample
+from jetnormal.geometry.neighbors import distinct
 from jetnormal.jobs.estimate import MAX_COORDINATE
 from jetnormal.jobs.options import EstimateOptions
-from jetnormal.jobs.tiled.partition import SAMPLE, Partition, cut_into_tiles
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.support.report import progress
 
@@ -84,11 +85,11 @@ def distribute(stream: CloudStream, store: Store, options: EstimateOptions, larg
         InputError: the file holds no surface, or coordinates that cannot be computed with.
     """
     with progress("reading points", 2 * stream.points) as advance:
-        sample, finite = _sample(stream, advance)
+        times = halvings(stream.points)
+        sample = _sample(stream, times, advance)
         if len(sample) < 3:
-            raise InputError(f"{finite} finite points of {stream.points}: a normal needs at least 3")
-        partition = cut_into_tiles(sample, finite, largest)
-        plan = _write_tiles(stream, store, options, partition, advance)
+            raise InputError(f"{len(sample)} different finite points of {stream.points}: a normal needs at least 3")
+        plan = _write_tiles(stream, store, options, cut_into_cells(sample, times, largest), advance)
     content = asdict(plan) | {
         "boxes": plan.boxes.tolist(),
         "place": None if plan.place is None else plan.place.tolist(),
@@ -97,27 +98,24 @@ def distribute(stream: CloudStream, store: Store, options: EstimateOptions, larg
     return plan
 
 
-def _sample(stream: CloudStream, advance: Any) -> tuple[Floats, int]:
-    """Some points, drawn evenly, and how many are finite."""
-    rng = np.random.default_rng(0)
-    share, parts, finite = min(1.0, SAMPLE / max(1, stream.points)), [], 0
+def _sample(stream: CloudStream, times: int, advance: Any) -> Floats:
+    """The different points that are in the sample which tells where to cut."""
+    parts = []
     for cloud in stream.pieces(ROWS):
         points = cloud.points[cloud.valid]
         largest = max(points.max(initial=0), -points.min(initial=0))
         if largest > MAX_COORDINATE:
             raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
-        finite += len(points)
-        parts.append(points if share == 1 else points[rng.random(len(points)) < share])
+        parts.append(points[in_sample(points, times)])
         advance(len(cloud))
-    return np.concatenate(parts), finite
+    sample = np.concatenate(parts)
+    return sample[distinct(sample)[0]]
 
 
-def _write_tiles(
-    stream: CloudStream, store: Store, options: EstimateOptions, partition: Partition, advance: Any
-) -> Plan:
+def _write_tiles(stream: CloudStream, store: Store, options: EstimateOptions, cells: Cells, advance: Any) -> Plan:
     from jetnormal.orientation.policy import find_sensors
 
-    count = partition.tiles
+    count = len(cells)
     counts = np.zeros(count, dtype=np.int64)
     boxes = np.tile(np.array([[np.inf], [-np.inf]]), (count, 1, 3))
     reason, place, start, unseen = None, None, 0, 0
@@ -128,7 +126,7 @@ def _write_tiles(
         places = sensors.places if sensors is not None and sensors.places.ndim == 2 else None
         if places is not None:
             unseen += int((~np.isfinite(places).all(axis=1)).sum())
-        _append(store, partition, cloud, start, places, counts, boxes)
+        _append(store, cells, cloud, start, places, counts, boxes)
         start += len(cloud)
         advance(len(cloud))
     return Plan(start, counts.tolist(), boxes, reason, place, unseen)
@@ -136,7 +134,7 @@ def _write_tiles(
 
 def _append(
     store: Store,
-    partition: Partition,
+    cells: Cells,
     cloud: Cloud,
     start: int,
     places: Floats | None,
@@ -145,7 +143,7 @@ def _append(
 ) -> None:
     """Append the finite points of a piece, whose first row is `start`, to their tiles."""
     rows = np.flatnonzero(cloud.valid)
-    tile = partition.tile_of(cloud.points[rows])
+    tile = cells.of(cloud.points[rows])
     order = np.argsort(tile, kind="stable")
     numbers, begins = np.unique(tile[order], return_index=True)
     for number, part in zip(numbers, np.split(rows[order], begins[1:]), strict=True):
