@@ -12,6 +12,7 @@ from jetnormal.errors import InputError, ResourceError
 from jetnormal.estimators.blocks import CORE, HALO_SHARE
 from jetnormal.formats import CloudStream
 from jetnormal.jobs.options import LargeOptions, ReadOptions
+from jetnormal.support.report import logger
 
 SHARE = 0.6  # of the machine's memory
 PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
@@ -40,7 +41,7 @@ def _text(path: Path) -> str:
 
 
 def at_once(path: Path, files: ReadOptions) -> int:
-    """Estimate the bytes that a cloud takes that is computed at once, without reading it."""
+    """Estimate the bytes that a cloud takes which is computed at once, without reading it."""
     known = formats.find_format(path, formats.format_for(path, files.format))
     try:
         size = path.stat().st_size
@@ -59,13 +60,20 @@ def points_of_a_tile(source: Path, files: ReadOptions, large: LargeOptions) -> i
     """Find how many points a tile may have; None if the cloud is computed at once.
 
     Raises:
-        InputError: the cloud takes more memory than there is, and its format is not read in pieces.
+        InputError: the cloud takes more memory than it may, and its format is not read in pieces.
         ResourceError: the memory is too little for any tile.
     """
     limit = large.max_memory or round(SHARE * machine_memory())
     needed = at_once(source, files)
     if needed <= limit and not large.resume and large.cluster is None:
         return None
+    known = formats.find_format(source, formats.format_for(source, files.format))
+    if needed > limit:
+        takes = f"{source}: would take {needed / 1e9:.2g} GB of memory, more than {limit / 1e9:.2g} GB (`max_memory`)"
+        if known.stream is None:
+            able = " ".join(sorted(s for each in formats.all_formats() if each.stream for s in each.suffixes))
+            raise InputError(f"{takes}, and {known.name} files are not read in pieces; {able} are")
+        logger.info("%s: it is computed in tiles", takes.replace("`max_memory`", "--max-memory"))
     largest = int((limit - PROGRAM) / (PER_POINT * (1 + HALO_SHARE)))
     if largest < LEAST_TILE:
         least = (PROGRAM + LEAST_TILE * PER_POINT * (1 + HALO_SHARE)) / 1e9

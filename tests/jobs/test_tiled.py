@@ -152,5 +152,8 @@ def test_a_cloud_beyond_the_memory_goes_in_tiles(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "LEAST_TILE", 100)
     monkeypatch.setattr(memory, "machine_memory", lambda: 5_000_000)
     assert "tiles" in estimate_file(tmp_path / "a.ply", tmp_path / "b.ply", JET)
+    write(sphere_cloud(), tmp_path / "a.npz")
+    with pytest.raises(InputError, match=r"more than 0\.003 GB \(`max_memory`\), and numpy files .*; .*\.ply"):
+        estimate_file(tmp_path / "a.npz", tmp_path / "d.ply", JET)
     large = LargeOptions(max_memory=100_000_000)
     assert "tiles" not in estimate_file(tmp_path / "a.ply", tmp_path / "c.ply", JET, large=large)

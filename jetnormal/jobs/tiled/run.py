@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, replace
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from jetnormal.jobs.tiled.merge import Merge
 from jetnormal.jobs.tiled.plan import Plan, distribute
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.jobs.tiled.thinning import MOST, settle_signs
-from jetnormal.jobs.tiled.work import FIND, SIGN, run_task, signs_are_local
+from jetnormal.jobs.tiled.work import FIND, SIGN, estimator_for, run_task, signs_are_local
 from jetnormal.orientation.policy import Decision
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb, progress
 
@@ -60,6 +59,8 @@ def estimate_in_tiles(
     """
     timer = StageTimer()
     formats.check_pieces(target, format=formats.format_for(target, files.format))
+    with timer.stage("model"):
+        estimator_for(options)  # what is wrong with the options shows before the cloud is read
     with timer.stage("read"):
         form = formats.format_for(source, files.format)
         stream = formats.open_stream(source, format=form, columns=files.columns, decimal=files.decimal)
@@ -67,8 +68,12 @@ def estimate_in_tiles(
     if not resume:
         check_disk(folder.parent, stream, source)
     store = _open_store(folder, _identity(source, options, files), resume)
+    job = _Job(store, stream, source, options, cluster, timer)
     try:
-        summary = _run(store, stream, source, target, options, files, timer, largest, thinned, cluster, overwrite)
+        plan = job.distribute(largest)
+        job.find_directions(plan)
+        decision = job.find_signs(plan, thinned)
+        summary = job.write(plan, decision, target, files, overwrite=overwrite)
     except BaseException:
         if Plan.of(store) is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -79,78 +84,92 @@ def estimate_in_tiles(
     return summary
 
 
-def _run(
-    store: Store,
-    stream: CloudStream,
-    source: Path,
-    target: Path,
-    options: EstimateOptions,
-    files: FileOptions,
-    timer: StageTimer,
-    largest: int,
-    thinned: int,
-    cluster: str | None,
-    overwrite: bool,
-) -> dict[str, Any]:
-    with timer.stage("clean"):
-        plan = Plan.of(store) or distribute(stream, store, options, largest)
-    tiles = len(plan.counts)
-    logger.info("%s: %s points in %d tiles in %s", source, f"{plan.points:,}", tiles, store.folder)
-    work = _runner(store.folder, options, cluster)
-    with timer.stage("estimate"), progress("estimating normals", sum(plan.counts)) as advance:
-        for done in work(FIND, range(tiles)):
-            advance(done)
-    first = next(stream.pieces(1)).source
-    with timer.stage("orient"), progress("choosing signs", sum(plan.counts)) as advance:
-        decision = _decide(store, plan, options, first, thinned)
-        for done in work(SIGN, range(tiles)):
-            advance(done)
-    said = [store.read_json(f"{tile:05}") or {} for tile in range(tiles)]
-    merge = Merge(store, plan, options, decision, has_curvature=any(each["has_curvature"] for each in said))
-    on_disk = sum(file.stat().st_size for file in store.folder.iterdir())
-    with timer.stage("write"):
-        merge.write(stream, target, files, overwrite=overwrite)
-    if signs_are_local(plan, options):
-        decision = replace(decision, confidence=merge.confidence)
-    busy = timer.seconds["estimate"] + timer.seconds["orient"]
-    warnings = dict.fromkeys(warning for each in said for warning in each["warnings"])
-    missing = gaps(plan.points - sum(plan.counts), sum(each["degenerate"] for each in said))
-    return {
-        "input": str(source),
-        "output": str(target),
-        "points": plan.points,
-        "valid": merge.valid,
-        "model": said[0]["model"],
-        "orient": decision.facts(),
-        "seconds": timer.seconds,
-        "points_per_second": round(merge.valid / busy) if busy else None,
-        "peak_memory_mb": peak_memory_mb(),
-        "warnings": [
-            *(f"{source}: {note}" for note in first.notes),
-            *warnings,
-            *decision.warnings(),
-            *missing,
-            *merge.warnings,
-        ],
-        "tiles": {"count": tiles, "largest": max(plan.counts), "bytes_on_disk": on_disk},
-    }
+@dataclass(frozen=True)
+class _Job:
+    """The stages, each of which goes on where an interrupted one ended."""
 
+    store: Store
+    stream: CloudStream
+    source: Path
+    options: EstimateOptions
+    cluster: str | None
+    timer: StageTimer
 
-def _decide(store: Store, plan: Plan, options: EstimateOptions, source: Source, thinned: int) -> Decision:
-    if plan.sensors is not None:
-        return Decision(options.orient, "viewpoint", plan.sensors, unseen=plan.unseen)
-    if signs_are_local(plan, options):
-        return Decision(options.orient, options.orient, "it was asked for")
-    return settle_signs(store, plan, options, source, thinned)
+    def distribute(self, largest: int) -> Plan:
+        """All points into their tiles."""
+        plan = Plan.of(self.store)
+        if plan is None:
+            self.store.clear(JOB)  # what an interrupted distribution has left
+            with self.timer.stage("clean"):
+                plan = distribute(self.stream, self.store, self.options, largest)
+        logger.info("%s points are in %d tiles in %s", f"{plan.points:,}", len(plan.counts), self.store.folder)
+        return plan
 
+    def find_directions(self, plan: Plan) -> None:
+        with self.timer.stage("estimate"):
+            self._work(FIND, plan, "estimating normals")
 
-def _runner(
-    folder: Path, options: EstimateOptions, cluster: str | None
-) -> Callable[[str, Iterable[int]], Iterable[int]]:
-    """What does a task for many tiles, and yields the points of each that is done."""
-    if cluster is not None:
-        return partial(run_on_cluster, cluster, folder, options)
-    return lambda kind, tiles: (run_task(folder, kind, tile, options) for tile in tiles)
+    def find_signs(self, plan: Plan, thinned: int) -> Decision:
+        with self.timer.stage("orient"):
+            decision = self._decide(plan, thinned)
+            self._work(SIGN, plan, "choosing signs")
+        return decision
+
+    def _work(self, kind: str, plan: Plan, what: str) -> None:
+        """Do a task for all tiles, here or on a cluster."""
+        tiles, folder = range(len(plan.counts)), self.store.folder
+        done: Iterator[int]
+        if self.cluster is None:
+            done = (run_task(folder, kind, tile, self.options) for tile in tiles)
+        else:
+            done = run_on_cluster(self.cluster, folder, self.options, kind, tiles)
+        with progress(what, sum(plan.counts)) as advance:
+            for count in done:
+                advance(count)
+
+    def _decide(self, plan: Plan, thinned: int) -> Decision:
+        asked = self.options.orient
+        if plan.sensors is not None:
+            return Decision(asked, "viewpoint", plan.sensors, unseen=plan.unseen)
+        if signs_are_local(plan, self.options):
+            return Decision(asked, asked, "it was asked for")
+        return settle_signs(self.store, plan, self.options, self._about, thinned)
+
+    @property
+    def _about(self) -> Source:
+        """What the file says of itself."""
+        return next(self.stream.pieces(1)).source
+
+    def write(
+        self, plan: Plan, decision: Decision, target: Path, files: FileOptions, *, overwrite: bool
+    ) -> dict[str, Any]:
+        """Write the output and tell what was done."""
+        said = [self.store.read_json(f"{tile:05}") or {} for tile in range(len(plan.counts))]
+        merge = Merge(self.store, plan, self.options, decision, any(each["has_curvature"] for each in said))
+        on_disk = sum(file.stat().st_size for file in self.store.folder.iterdir())
+        with self.timer.stage("write"):
+            merge.write(self.stream, target, files, overwrite=overwrite)
+        if signs_are_local(plan, self.options):
+            decision = replace(decision, confidence=merge.confidence)
+        seconds = self.timer.seconds
+        busy = seconds["estimate"] + seconds["orient"]
+        warnings = [f"{self.source}: {note}" for note in self._about.notes]
+        warnings += dict.fromkeys(warning for each in said for warning in each["warnings"])
+        warnings += decision.warnings()
+        warnings += gaps(plan.points - sum(plan.counts), sum(each["degenerate"] for each in said))
+        return {
+            "input": str(self.source),
+            "output": str(target),
+            "points": plan.points,
+            "valid": merge.valid,
+            "model": said[0]["model"],
+            "orient": decision.facts(),
+            "seconds": seconds,
+            "points_per_second": round(merge.valid / busy) if busy else None,
+            "peak_memory_mb": peak_memory_mb(),
+            "warnings": warnings + merge.warnings,
+            "tiles": {"count": len(plan.counts), "largest": max(plan.counts), "bytes_on_disk": on_disk},
+        }
 
 
 def _open_store(folder: Path, identity: dict[str, Any], resume: bool) -> Store:
@@ -173,7 +192,7 @@ def _open_store(folder: Path, identity: dict[str, Any], resume: bool) -> Store:
     if known is not None:
         raise UsageError(f"{folder}: an interrupted run has left this; go on with `resume`, or remove it")
     try:
-        folder.mkdir()
+        folder.mkdir(exist_ok=folder.is_dir() and not any(folder.iterdir()))
     except OSError as error:
         raise InputError(f"{folder}: the folder of the tiles cannot be made ({error.strerror or error})") from error
     store.write_json(JOB, identity)

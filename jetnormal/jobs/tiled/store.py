@@ -36,6 +36,12 @@ class Store:
 
     folder: Path
 
+    def clear(self, kept: str) -> None:
+        """Remove everything but one JSON file."""
+        for path in self.folder.iterdir():
+            if path.name != f"{kept}.json":
+                path.unlink()
+
     def append(self, kind: str, tile: int, values: NDArray[Any]) -> None:
         """Append rows to the points, rows or sensors of a tile."""
         with self._path(tile, kind).open("ab") as stream:

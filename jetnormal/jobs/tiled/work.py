@@ -40,7 +40,7 @@ def run_task(folder: Path, kind: str, tile: int, options: EstimateOptions) -> in
     assert plan is not None
     if not store.has(kind, tile):
         if kind == FIND:
-            find_directions(store, plan, tile, options, _estimator(options))
+            find_directions(store, plan, tile, options, estimator_for(options))
         else:
             find_signs(store, plan, tile, options)
     return plan.counts[tile]
@@ -55,7 +55,7 @@ def _thinned(folder: Path) -> Thinned:
 
 
 @cache
-def _estimator(options: EstimateOptions) -> Estimator:
+def estimator_for(options: EstimateOptions) -> Estimator:
     """One model for all tiles of a process."""
     return prepare_estimator(options)
 
