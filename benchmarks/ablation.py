@@ -6,7 +6,8 @@
 
 A plan is a TOML file. Each row of a table is a recipe of `jetnormal train` with some settings changed; equal recipes
 are trained once, also those of several plans with the same folder. An interrupted run goes on when it is started again.
-The folder gets NETWORK/ with the run of each network, and PLAN.md with the tables as far as they are known.
+The folder gets NETWORK/ with the run of each network, and PLAN.md with the tables as far as they are known. With --show
+the rows are printed, each with the folder of its network, and nothing is trained.
 
     [test]                   # clouds in PCPNet's layout
     data = "benchmark"
@@ -82,6 +83,12 @@ def rows(table: dict[str, Any], plan: dict[str, Any]) -> Iterator[Row]:
         yield Row(settings, make_recipe(merged(tables, changes)), iterations)
 
 
+def recipes(row: Row, table: dict[str, Any]) -> list[Recipe]:
+    """The recipe of a row, with each of the seeds of its table."""
+    training = row.recipe.training
+    return [replace(row.recipe, training=replace(training, seed=n)) for n in table.get("seeds", [training.seed])]
+
+
 def run_name(recipe: Recipe) -> str:
     """Name of the folder of a training: the kind of network, and a hash of all that decides on it."""
     facts = json.dumps(recipe.facts(), sort_keys=True).encode()
@@ -129,22 +136,35 @@ def markdown(table: dict[str, Any], done: list[tuple[Row, list[ModelResult]]]) -
     return "\n".join(lines)
 
 
+def overview(tables: list[tuple[dict[str, Any], list[Row]]]) -> str:
+    """The titles of tables, and of each row the folders of its networks and its settings."""
+    lines = []
+    for table, planned in tables:
+        lines.append(table["title"])
+        for row in planned:
+            settings = ", ".join(f"{key} = {value}" for key, value in row.settings.items())
+            lines += [f"  {run_name(recipe)}: {settings}" for recipe in recipes(row, table)]
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("plan", type=Path, help="the TOML file")
     parser.add_argument("-o", "--out", type=Path, default=Path("ablation"), help="folder of runs and tables")
+    parser.add_argument("--show", action="store_true", help="print what would be trained, and train nothing")
     arguments = parser.parse_args()
     configure_logging(0)
     plan = tomllib.loads(arguments.plan.read_text())
     tables = [(table, list(rows(table, plan))) for table in plan["table"]]  # all of them, so that errors show first
+    if arguments.show:
+        print(overview(tables))
+        return
     arguments.out.mkdir(parents=True, exist_ok=True)
     finished: list[str] = []
     for table, planned in tables:
         done = []
         for row in planned:
-            training = row.recipe.training
-            recipes = [replace(row.recipe, training=replace(training, seed=seed)) for seed in table.get("seeds", [])]
-            done.append((row, [result(row, one, plan, arguments.out) for one in recipes or [row.recipe]]))
+            done.append((row, [result(row, one, plan, arguments.out) for one in recipes(row, table)]))
             text = "\n".join([*finished, markdown(table, done)])
             with atomic_write(arguments.out / f"{arguments.plan.stem}.md", overwrite=True) as stream:
                 stream.write(text.encode())

@@ -20,7 +20,7 @@ from jetnormal.support.device import in_order, worker_pool
 from jetnormal.support.flops import matrix_products
 from jetnormal.support.report import Advance
 
-ROWS = 512  # points at a time by a thread: what they need stays in its cache
+ROWS = 128  # points at a time by a thread: what they need stays in its cache, and in memory that is used again
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,8 @@ def draw_heatmaps(
                 category = evaluation.clouds[name]
                 panel.set_title(TITLES.get(category, category), fontsize=10)
     _add_color_bar(figure, size)
-    title = f"{shape}: error of the normals, and its root mean square"
-    figure.text(LEFT / size[0], 1 - 0.12 / size[1], title, fontsize=11, va="top")
+    title = f"{shape}: errors of normals, RMSE below"
+    figure.text(0.12 / size[0], 1 - 0.12 / size[1], title, fontsize=11, va="top", wrap=True)
     return figure
 
 

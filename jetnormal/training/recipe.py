@@ -228,7 +228,8 @@ def _parse(path: Path) -> Tables:
         raise InputError(f"{path}: cannot be read as TOML ({error})") from error
     for name, value in tables.items():
         if name not in _TABLES + _TOP or isinstance(value, dict) != (name in _TABLES):
-            raise UsageError(f"{path}: unknown entry {name}{did_you_mean(name, _TABLES + _TOP)}")
+            plan = "; plans of tables are for benchmarks/ablation.py" if {"test", "table"} <= tables.keys() else ""
+            raise UsageError(f"{path}: unknown entry {name}{plan or did_you_mean(name, _TABLES + _TOP)}")
     return tables
 
 

@@ -64,6 +64,7 @@ def test_heatmaps_have_a_row_per_model_with_its_errors_as_colors(clouds, turned)
     evaluation = evaluate(clouds, [turned(0.0, "right"), turned(30.0, "wrong")])
     figure = draw_heatmaps(evaluation, "ball", list(reversed(evaluation.clouds)))
     panels = [panel for panel in figure.axes if panel.images]
+    assert figure.texts[0].get_text() == "ball: errors of normals, RMSE below"
     assert [panel.get_title() for panel in panels] == ["no noise", "", "high noise", ""]
     assert [panel.get_ylabel() for panel in panels] == ["right", "wrong", "", ""]
     assert [panel.get_xlabel() for panel in panels] == ["0.00°", "30.00°", "0.00°", "60.00°"]

@@ -55,3 +55,15 @@ def test_plans_share_their_networks(ablation):
 
     assert len(names("main") & names("additions")) == 6
     assert names("main") == names("scenes")
+
+
+def test_a_plan_can_be_read_before_it_is_run(ablation, monkeypatch, capsys, tmp_path):
+    folder = tmp_path / "none"
+    plan = BENCHMARKS / "paper" / "iterations.toml"
+    monkeypatch.setattr(sys, "argv", ["ablation.py", str(plan), "-o", str(folder), "--show"])
+    ablation.main()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "Iterative estimation" and len(lines) == 5
+    assert lines[1].endswith(": recipe = deepfit-paper, additions = none, iterations = 1")
+    assert lines[1].split(":")[0] == lines[2].split(":")[0] != lines[3].split(":")[0]  # the same network twice
+    assert not folder.exists()

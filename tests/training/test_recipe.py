@@ -40,6 +40,7 @@ def test_a_written_recipe_is_read_as_the_same(tmp_path):
         ('family = "patchfitt"', UsageError, "family is one of patchfit, cloudfit, .*did you mean patchfit"),
         ('family = "patchfit"\n[trainig]\nepochs = 2', UsageError, "unknown entry trainig; did you mean training"),
         ('family = "patchfit"\nlosses = 3', UsageError, "unknown entry losses"),
+        ('[test]\ndata = "a"\n[[table]]\ntitle = "b"', UsageError, "unknown entry test; plans of tables are for"),
         ('family = "patchfit"\n[training]\nepoch = 2', UsageError, r"\[training\] unknown setting epoch; did you mean"),
         ('family = "patchfit"\n[training]\nepochs = "2"', UsageError, r"\[training\] epochs is a whole number"),
         ('family = "patchfit"\n[network]\nweights = "deep"', UsageError, r"\[network\] weights is one of deepfit"),
