@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from jetnormal.estimators.base import Prediction, joined
 from jetnormal.geometry.cells import cut_into_cells, halvings, in_sample
-from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.geometry.neighbors import NeighborIndex, spatial_order
 
 WHOLE = 500_000  # points: a larger cloud is cut into blocks
 CORE = 250_000  # points of a block, about, whose normals are kept
@@ -78,13 +78,3 @@ def halo_width(inside: NDArray[np.float64], threads: int | None) -> float:
     sample = inside[:: max(1, len(inside) // SAMPLE)]
     _, distances = NeighborIndex(inside, threads=threads).query(sample, min(HALO_NEIGHBORS + 1, len(inside)))
     return HALO * float(np.median(np.sqrt(np.square(distances).mean(axis=1))))
-
-
-def spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """An order of (n, 3) points in which near ones are mostly close together (Morton), so that the cache has them."""
-    low = points.min(axis=0)
-    cells = ((points - low) * (0xFFFF / max(float(np.ptp(points, axis=0).max()), 1e-300))).astype(np.uint64)
-    for shift, mask in ((32, 0xFFFF00000000FFFF), (16, 0x00FF0000FF0000FF), (8, 0xF00F00F00F00F00F),
-                        (4, 0x30C30C30C30C30C3), (2, 0x9249249249249249)):  # fmt: skip
-        cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
-    return np.argsort(cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2)), kind="stable")

@@ -117,6 +117,16 @@ def distinct(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np
     return order[starts], copy_of
 
 
+def spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """An order of (n, 3) points in which near ones are mostly close together (Morton), so that the cache has them."""
+    low = points.min(axis=0)
+    cells = ((points - low) * (0xFFFF / max(float(np.ptp(points, axis=0).max()), 1e-300))).astype(np.uint64)
+    for shift, mask in ((32, 0xFFFF00000000FFFF), (16, 0x00FF0000FF0000FF), (8, 0xF00F00F00F00F00F),
+                        (4, 0x30C30C30C30C30C3), (2, 0x9249249249249249)):  # fmt: skip
+        cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
+    return np.argsort(cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2)), kind="stable")
+
+
 def _checked(values: NDArray[Any], name: str) -> NDArray[np.float64]:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.orientation.kernels import edge_agreement, join_edges, third_smallest_height
+from jetnormal.orientation.kernels import edge_agreement, join_edges, surest_first, third_smallest_height, turn_all
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,9 +72,7 @@ class Surface:
 
     def turn(self, flips: Bools) -> None:
         """Turns the normals (N,) that are to flip."""
-        signs = np.where(flips, -1.0, 1.0)
-        self.normals *= signs[:, None]
-        self.edges *= signs[:, None] * signs[self.neighbors]
+        turn_all(flips, self.neighbors, self.normals, self.edges)
 
 
 @dataclass(frozen=True)
@@ -142,17 +140,12 @@ def patches(surface: Surface) -> tuple[Bools, Ints]:
     Returns:
         Which normals (N,) to flip so that they are consistent in every patch, and each point's patch (N,).
     """
-    doubt = 1 - np.abs(surface.edges)
-    edge = np.flatnonzero(doubt <= 1 - PATCH_AGREEMENT)
-    row, column = np.divmod(edge, surface.neighbors.shape[1])
-    other = surface.neighbors[row, column]
-    length = surface.lengths[row, column] / (surface.radius[row] + surface.radius[other])
-    weight = doubt[row, column] + LENGTH_WEIGHT * length
-    bucket = (weight * (BUCKETS / (1 - PATCH_AGREEMENT + LENGTH_WEIGHT))).astype(np.uint16)
-    order = np.argsort(bucket, kind="stable")
+    order = surest_first(
+        surface.edges, surface.lengths, surface.radius, surface.neighbors, PATCH_AGREEMENT, LENGTH_WEIGHT, BUCKETS
+    )
     root = np.arange(len(surface.points))
     flips = np.zeros(len(root), dtype=np.bool_)
-    join_edges(row[order], other[order], surface.edges[row, column][order] < 0, PATCH_POINTS, root, flips)
+    join_edges(order, surface.neighbors, surface.edges, PATCH_POINTS, root, flips)
     return flips, np.unique(root, return_inverse=True)[1]
 
 

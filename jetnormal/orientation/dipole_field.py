@@ -7,12 +7,11 @@ before and behind its point, so that the field is read where the charges are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.orientation.agreement import Surface
+from jetnormal.orientation.kernels import add_dipoles, read_grid
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -60,10 +59,10 @@ def contradicted(surface: Surface, label: Ints) -> tuple[NDArray[np.bool_], Floa
 def _field_strength(points: Floats, normals: Floats, spacing: Floats, noisy: NDArray[np.bool_]) -> Floats:
     """How far the field of all points agrees with the normals of noisy ones (N,), -1 to 1; 1 for the others."""
     strength = np.ones(len(points))
-    cells = _cells(points, spacing)
+    field = DipoleField(points, _cells(points, spacing))
+    rows = np.flatnonzero(noisy & (spacing * MAX_CELL_SPACINGS > field.cell))
     for _ in range(ROUNDS):
-        field = DipoleField(points, normals * (strength * spacing**2)[:, None], cells)
-        rows = np.flatnonzero(noisy & (spacing * MAX_CELL_SPACINGS > field.cell))
+        field.solve(normals * (strength * spacing**2)[:, None])
         drop = field.drop(points[rows], normals[rows])
         scale = np.median(np.abs(drop)) if len(rows) else 0.0
         strength[rows] = np.clip(drop / scale, -1, 1) if scale > 0 else 1
@@ -81,53 +80,45 @@ def _cells(points: Floats, spacing: Floats) -> int:
 
 
 class DipoleField:
-    """The field of points whose normals are outward, with the areas that they stand for.
+    """The field of points whose normals are outward, on a cubic grid around them.
 
     Args:
         points: (N, 3), not all in one place.
-        moments: (N, 3) outward unit normals times areas.
-        cells: along each side of the cubic grid.
+        cells: along each side of the grid.
     """
 
-    def __init__(self, points: Floats, moments: Floats, cells: int) -> None:
-        from scipy.fft import fftfreq, irfftn, rfftn
-
+    def __init__(self, points: Floats, cells: int) -> None:
         low, high = points.min(axis=0), points.max(axis=0)
-        self._centre = (low + high) / 2
-        self._cells = cells
         self.cell = float((high - low).max()) * MARGIN / cells
-        charge = np.linalg.norm(moments, axis=1)
-        offset = moments * (self.cell / np.where(charge > 0, charge, 1))[:, None]
-        grid = np.zeros(cells**3)
-        for side in (1, -1):
-            for index, weight in self._corners(points - side * offset):
-                grid += np.bincount(index, side * charge * weight, len(grid))
-        wave = fftfreq(cells, 1 / cells)
-        squared = wave[:, None, None] ** 2 + wave[:, None] ** 2 + np.arange(cells // 2 + 1.0) ** 2
-        squared[0, 0, 0] = 1  # the constant, which is not known
-        kernel = np.exp(-0.5 * (2 * np.pi * SMOOTHING / cells) ** 2 * squared) / squared
-        kernel *= cells**2 / (2 * (2 * np.pi * self.cell) ** 2)
-        values = irfftn(rfftn(grid.reshape((cells,) * 3)) * kernel, s=(cells,) * 3)
-        self._values = values.ravel() - values[0, 0, 0]  # a corner is farthest from all points
+        self._corner = (low + high) / 2 - self.cell * cells / 2
+        self._points = points
+        self._response = _response(cells) * np.float32(cells**2 / self.cell**2)
+        self._values = np.zeros((cells,) * 3, dtype=np.float32)
+
+    def solve(self, moments: Floats) -> None:
+        """Find the field of moments (N, 3): outward unit normals times the areas that the points stand for."""
+        from scipy.fft import irfftn, rfftn
+
+        charges = np.zeros(self._values.shape, dtype=np.float32)
+        add_dipoles(self._points, moments, self._corner, self.cell, charges)
+        self._values = irfftn(rfftn(charges) * self._response, s=charges.shape)
+        self._values -= self._values[0, 0, 0]  # a corner is farthest from all points
 
     def at(self, places: Floats) -> Floats:
         """The indicator (Q,) at places (Q, 3) in the points' box or near it."""
-        values = np.zeros(len(places))
-        for index, weight in self._corners(places):
-            values += weight * self._values[index]
-        return values
+        return np.asarray(read_grid(places, self._corner, self.cell, self._values))
 
     def drop(self, points: Floats, normals: Floats) -> Floats:
         """How far the indicator falls (Q,) across points (Q, 3) along their normals, over two cells."""
         return self.at(points - normals * self.cell) - self.at(points + normals * self.cell)
 
-    def _corners(self, places: Floats) -> Iterator[tuple[NDArray[np.int64], Floats]]:
-        """For each of the eight grid points around places, its indices (Q,) and trilinear weights (Q,)."""
-        cells = self._cells
-        position = (places - self._centre) / self.cell + cells / 2
-        base = np.floor(position)
-        weights = base + 1 - position, position - base
-        low = base.astype(np.int64)
-        for x, y, z in np.ndindex(2, 2, 2):
-            index = ((low[:, 0] + x) % cells * cells + (low[:, 1] + y) % cells) * cells + (low[:, 2] + z) % cells
-            yield index, weights[x][:, 0] * weights[y][:, 1] * weights[z][:, 2]
+
+def _response(cells: int) -> NDArray[np.float32]:
+    """The field of a charge of one, smoothed, at the wave numbers of a grid with sides and cells of one."""
+    from scipy.fft import fftfreq
+
+    wave = fftfreq(cells, 1 / cells) ** 2
+    squared = wave[:, None, None] + wave[:, None] + np.arange(cells // 2 + 1.0) ** 2
+    squared[0, 0, 0] = 1  # the constant, which is not known
+    damping = np.exp(-0.5 * (2 * np.pi * SMOOTHING / cells) ** 2 * squared)
+    return np.asarray(damping / (squared * 2 * (2 * np.pi) ** 2), dtype=np.float32)

@@ -62,19 +62,65 @@ def edge_agreement(
 
 
 @compiled
-def join_edges(row: Ints, other: Ints, opposite: Bools, largest: int, root: Ints, flips: Bools) -> None:
-    """Join the ends of edges (E,), in their order, to trees of at most `largest` points.
+def turn_all(flips: Bools, neighbors: Ints, normals: Floats, edges: Floats) -> None:
+    """Turn the normals (N, 3) that are to flip (N,), and the agreement (N, k) of the edges that join one to another."""
+    for i in range(len(flips)):
+        if flips[i]:
+            for axis in range(3):
+                normals[i, axis] = -normals[i, axis]
+        for place in range(neighbors.shape[1]):
+            if flips[i] != flips[neighbors[i, place]]:
+                edges[i, place] = -edges[i, place]
 
-    opposite (E,): whether the ends have opposite signs. root (N,): at first each point itself, at last the root of its
-    tree; flips (N,), at first False: whether a point's sign is opposite to its root's.
+
+@compiled
+def surest_first(
+    edges: Floats, lengths: Floats, radius: Floats, neighbors: Ints, least: float, length_weight: float, buckets: int
+) -> Any:
+    """Find the order of the edges (N, k) of least agreement or more, as rows of the flat array, the surest first.
+
+    An edge's doubt is 1 - |agreement|, plus `length_weight` times its length over the radii (N,) of its ends. Edges
+    whose doubts fall into the same one of the buckets keep their order.
+    """
+    scale = buckets / (1 - least + length_weight)
+    bucket = np.empty(edges.size, np.uint16)
+    start = np.zeros(buckets + 1, np.int64)
+    count = edges.shape[1]
+    for i in range(len(edges)):
+        for place in range(count):
+            agreement = abs(edges[i, place])
+            length = lengths[i, place] / (radius[i] + radius[neighbors[i, place]])
+            doubt = 1 - agreement + length_weight * length
+            number = buckets if agreement < least else min(int(max(doubt, 0.0) * scale), buckets - 1)
+            bucket[i * count + place] = number
+            start[number] += 1
+    total = 0
+    for number in range(buckets + 1):
+        start[number], total = total, total + start[number]
+    order = np.empty(start[buckets], np.int64)
+    for edge in range(len(bucket)):
+        if bucket[edge] < buckets:
+            order[start[bucket[edge]]] = edge
+            start[bucket[edge]] += 1
+    return order
+
+
+@compiled
+def join_edges(order: Ints, neighbors: Ints, edges: Floats, largest: int, root: Ints, flips: Bools) -> None:
+    """Join the ends of edges to trees of at most `largest` points.
+
+    order (E,): rows of the flat array of edges (N, k), which are negative where the signs of a point and its neighbor
+    (N, k) differ. root (N,): at first each point itself, at last the root of its tree; flips (N,), at first False:
+    whether a point's sign is opposite to its root's.
     """
     size = np.ones(len(root), np.int64)
-    for edge in range(len(row)):
-        a, odd_a = row[edge], False
+    for edge in order:
+        i, place = edge // neighbors.shape[1], edge % neighbors.shape[1]
+        a, odd_a = i, False
         while root[a] != a:
             odd_a ^= flips[a]
             a = root[a]
-        b, odd_b = other[edge], False
+        b, odd_b = neighbors[i, place], False
         while root[b] != b:
             odd_b ^= flips[b]
             b = root[b]
@@ -83,7 +129,7 @@ def join_edges(row: Ints, other: Ints, opposite: Bools, largest: int, root: Ints
         if size[a] < size[b] or (size[a] == size[b] and b < a):
             a, b = b, a
         root[b] = a
-        flips[b] = odd_a ^ odd_b ^ opposite[edge]
+        flips[b] = odd_a ^ odd_b ^ (edges[i, place] < 0)
         size[a] += size[b]
     for i in range(len(root)):  # trees are at most as deep as the logarithm of their size
         a, odd = i, False
@@ -190,3 +236,48 @@ def solid_angles(places: Floats, points: Floats, moments: Floats, softening: Flo
                 flux += moments[i, axis] * step
             result[q] += flux / (squared * np.sqrt(squared))
     return result / (4 * np.pi)
+
+
+@compiled
+def grid_axis(coordinate: float, corner: float, cell: float, cells: int) -> Any:
+    """The two places around a coordinate along one axis of a periodic grid, each with its linear weight."""
+    position = (coordinate - corner) / cell
+    base = np.floor(position)
+    low = np.int64(base) % cells
+    return (low, base + 1 - position), ((low + 1) % cells, position - base)
+
+
+@compiled
+def add_dipoles(points: Floats, moments: Floats, corner: Floats, cell: float, grid: Any) -> None:
+    """Add charges |m| a cell behind each point (N, 3), seen along its moment m (N, 3), and -|m| as far before it.
+
+    Charges are spread over the eight nearest places of a periodic grid (G, G, G), float32, whose first is at `corner`.
+    """
+    for i in range(len(points)):
+        charge = np.sqrt(moments[i, 0] ** 2 + moments[i, 1] ** 2 + moments[i, 2] ** 2)
+        if charge == 0:
+            continue
+        for side in (charge, -charge):
+            step = -cell / side
+            across = grid_axis(points[i, 0] + step * moments[i, 0], corner[0], cell, len(grid))
+            along = grid_axis(points[i, 1] + step * moments[i, 1], corner[1], cell, len(grid))
+            up = grid_axis(points[i, 2] + step * moments[i, 2], corner[2], cell, len(grid))
+            for x, in_x in across:
+                for y, in_y in along:
+                    for z, in_z in up:
+                        grid[x, y, z] += side * in_x * in_y * in_z
+
+
+@compiled
+def read_grid(places: Floats, corner: Floats, cell: float, grid: Any) -> Any:
+    """Interpolate a periodic grid (G, G, G), whose first place is at `corner`, at places (Q, 3)."""
+    result = np.zeros(len(places))
+    for i in range(len(places)):
+        across = grid_axis(places[i, 0], corner[0], cell, len(grid))
+        along = grid_axis(places[i, 1], corner[1], cell, len(grid))
+        up = grid_axis(places[i, 2], corner[2], cell, len(grid))
+        for x, in_x in across:
+            for y, in_y in along:
+                for z, in_z in up:
+                    result[i] += in_x * in_y * in_z * grid[x, y, z]
+    return result

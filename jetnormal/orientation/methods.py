@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jetnormal.geometry.neighbors import distinct
+from jetnormal.geometry.neighbors import distinct, spatial_order
 from jetnormal.orientation.agreement import Surface
 from jetnormal.orientation.grazing import grazing_flips
 from jetnormal.orientation.outward import turn_outward, turn_up
@@ -129,6 +129,8 @@ def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Out
     middle = np.partition(points, len(points) // 2, axis=0)[len(points) // 2]  # whatever strays are where
     points = points - middle  # far from the origin, projections would be coarse
     first, copy_of = distinct(points)
+    order = spatial_order(points[first])  # neighbors are near in memory, too
+    first, copy_of = first[order], np.argsort(order)[copy_of]
     surface = Surface(points[first], normals[first])
     if method == "mst":
         found = grow_tree(surface)

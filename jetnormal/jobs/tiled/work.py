@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from jetnormal.cloud import Source
 from jetnormal.estimators.base import Estimator
-from jetnormal.estimators.blocks import HALO, halo_width, spatial_order, with_halo
-from jetnormal.geometry.neighbors import NeighborIndex, distinct
+from jetnormal.estimators.blocks import HALO, halo_width, with_halo
+from jetnormal.geometry.neighbors import NeighborIndex, distinct, spatial_order
 from jetnormal.jobs.options import EstimateOptions
 from jetnormal.jobs.prediction import predict, prepare_estimator
 from jetnormal.jobs.tiled.plan import Plan
