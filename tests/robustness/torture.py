@@ -159,13 +159,16 @@ def torture(
     return outcome
 
 
-def without_disk(cloud: Path) -> Outcome:
-    """Files that may not grow, as on a full disk; a full device behind stdout; folders that may not be written."""
+def without_disk(inputs: Path, commands: dict[str, list[str]], results: dict[str, str]) -> Outcome:
+    """Files that may not grow, as on a full disk; a full device behind stdout; folders that may not be written.
+
+    Each must end with exit code 3, without a traceback, a result or an unfinished file.
+    """
     outcome = Outcome("no disk, no permission")
 
     def limit() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
 
     def full_stdout() -> None:
         os.dup2(os.open("/dev/full", os.O_WRONLY), 1)
@@ -173,31 +176,41 @@ def without_disk(cloud: Path) -> Outcome:
     def other_user() -> None:
         os.setuid(NOBODY)
 
-    command = ["estimate", str(cloud), "-o", "out.ply", "--model", "pca"]
-    cases = [("file size", limit, command, 3, False), ("stdout", full_stdout, [*command, "--json"], 3, True)]
+    cases = [(name, "file size", limit, command) for name, command in commands.items()]
+    cases.append(("estimate", "full stdout", full_stdout, [*commands["estimate"], "--json"]))
     if os.geteuid() == 0:
-        with tempfile.TemporaryDirectory(prefix="torture-") as text, contextlib.suppress(SystemExit):
-            # once in this process, which imports everything: another user may not read where Python lies
-            sys.argv = ["jetnormal", *command[:2], "-o", str(Path(text, "out.ply")), *command[4:], "--quiet"]
-            jetnormal_main()
-        cases.append(("read-only folder", other_user, command, 3, False))
-    for name, prepare, arguments, expected, written in cases:
+        for command in commands.values():
+            import_all(inputs, command)
+        cases += [(name, "read-only folder", other_user, command) for name, command in commands.items()]
+    for name, problem, prepare, arguments in cases:
         with tempfile.TemporaryDirectory(prefix="torture-") as text:
             Path(text).chmod(0o755)
             folder = Path(text) / "work"
-            folder.mkdir(mode=0o755)
+            shutil.copytree(inputs, folder)
             code = finish(start(arguments, folder, prepare))
             outcome.tries += 1
             said = folder.with_name("said").read_text()
-            if code != expected or "Traceback" in said:
-                outcome.faults.append(f"{name}: exit code {code}, {said[-300:]}")
-            if (folder / "out.ply").exists() != written or strays(folder):
-                outcome.faults.append(f"{name}: leaves {list(contents(folder))}")
+            if code != 3 or "Traceback" in said:
+                outcome.faults.append(f"{name}, {problem}: exit code {code}, {said[-300:]}")
+            if strays(folder) or (problem != "full stdout" and list(folder.glob(results[name]))):
+                outcome.faults.append(f"{name}, {problem}: leaves {list(contents(folder))}")
     return outcome
 
 
+def import_all(inputs: Path, command: list[str]) -> None:
+    """Run a command once in this process: another user may not read where Python lies."""
+    here = Path.cwd()
+    with tempfile.TemporaryDirectory(prefix="torture-") as text, contextlib.suppress(SystemExit):
+        shutil.copytree(inputs, Path(text) / "work")
+        os.chdir(Path(text) / "work")
+        sys.argv = ["jetnormal", *command, "--quiet"]
+        with contextlib.redirect_stdout(None):
+            jetnormal_main()
+    os.chdir(here)
+
+
 def prepare_inputs(folder: Path) -> None:
-    jetnormal.write(jetnormal.Cloud(sphere(20_000)), folder / "in.ply")
+    jetnormal.write(jetnormal.Cloud(sphere(5_000)), folder / "in.ply")
     (folder / "data").mkdir()
     for name, seed in (("one", 1), ("two", 2)):
         points = np.random.default_rng(seed).normal(size=(3000, 3))
@@ -222,25 +235,25 @@ def main() -> None:
     import jetnormal.training.train  # noqa: F401
 
     train = ["train", "--recipe", "deepfit-small", "--data", "data", "-o", "run", "--epochs", "6", "--threads", "1"]
-    train += [part for setting in TINY for part in ("--set", setting)]
-    evaluate = ["evaluate", "--data", "data", "--model", "pca", "--model", "jet", "--results", "kept", "--json"]
+    commands = {
+        "estimate": ["estimate", "in.ply", "-o", "out.ply", "--model", "jet"],
+        "train": [*train, *(part for setting in TINY for part in ("--set", setting))],
+        "evaluate": ["evaluate", "--data", "data", "--model", "pca", "--model", "jet", "--results", "kept", "--json"],
+    }
+    results = {"estimate": "out.ply", "train": "run/model.safetensors", "evaluate": "kept/**/*.npz"}
+    again = {"estimate": [], "train": ["train", "--resume", "-o", "run"]}
     outcomes = []
     with tempfile.TemporaryDirectory(prefix="torture-") as text:
         inputs = Path(text)
         inputs.chmod(0o755)
         prepare_inputs(inputs)
-        if "estimate" in chosen:
-            command = ["estimate", "in.ply", "-o", "out.ply", "--model", "jet"]
-            outcomes.append(torture("estimate", inputs, command, [], "out.ply", options.kills, rng))
-        if "train" in chosen:
-            result = "run/model.safetensors"
-            outcomes.append(
-                torture("train", inputs, train, ["train", "--resume", "-o", "run"], result, options.kills, rng)
-            )
+        for name in again:
+            if name in chosen:
+                outcomes.append(torture(name, inputs, commands[name], again[name], results[name], options.kills, rng))
         if "evaluate" in chosen:
-            outcomes.append(torture_evaluate(inputs, evaluate, options.kills, rng))
+            outcomes.append(torture_evaluate(inputs, commands["evaluate"], options.kills, rng))
         if "disk" in chosen:
-            outcomes.append(without_disk(inputs / "in.ply"))
+            outcomes.append(without_disk(inputs, commands, results))
     rows = [(outcome.name, [str(outcome.tries), str(outcome.killed), str(len(outcome.faults))]) for outcome in outcomes]
     print("| command | tries | killed before the end | faults |\n|---|---|---|---|")
     for name, cells in rows:
