@@ -117,7 +117,7 @@ def torture(
         command: arguments of the first run.
         again: of the run that goes on after a kill; empty if nothing can go on.
         result: file that must be there complete or not at all, and at the end the same as without a kill.
-        kills: number of tries.
+        kills: number of them; a run that ends before its kill does not count.
         rng: chooses the moments.
     """
     outcome = Outcome(name)
@@ -130,16 +130,19 @@ def torture(
         if code:
             raise SystemExit(f"{name}: fails undisturbed ({code}): {folder.with_name('said').read_text()[-500:]}")
         expected = (folder / result).read_bytes()
-        for number in range(kills):
+        while outcome.killed < kills:
+            number = outcome.tries
             shutil.rmtree(folder)
             shutil.copytree(inputs, folder)
             chosen = SIGNALS[number % len(SIGNALS)]
+            begun = time.monotonic()
             pid = start(command, folder)
             killed = kill_at(pid, rng.uniform(0, duration), chosen)
             code = finish(pid, 60) if killed else 0
+            duration = duration if killed else time.monotonic() - begun  # the machine has less to do than it had
             outcome.tries += 1
             outcome.killed += killed
-            print(f"{name}: try {outcome.tries} of {kills}, {outcome.killed} killed", file=sys.stderr)
+            print(f"{name}: {outcome.killed} of {kills} killed", file=sys.stderr)
             where = f"try {number}, {chosen.name}"
             if killed and code not in (0, -chosen, 128 + chosen):
                 outcome.faults.append(f"{where}: exit code {code}")
@@ -291,17 +294,20 @@ def torture_evaluate(inputs: Path, command: list[str], kills: int, rng: random.R
             raise SystemExit(f"evaluate: fails undisturbed: {folder.with_name('said').read_text()[-500:]}")
         duration = time.monotonic() - begun
         expected = without_times(scores())
-        for number in range(kills):
+        while outcome.killed < kills:
+            number = outcome.tries
             shutil.rmtree(folder)
             shutil.copytree(inputs, folder)
             chosen = SIGNALS[number % len(SIGNALS)]
+            begun = time.monotonic()
             pid = start(command, folder)
             killed = kill_at(pid, rng.uniform(0, duration), chosen)
             if killed:
                 finish(pid, 60)
+            duration = duration if killed else time.monotonic() - begun
             outcome.tries += 1
             outcome.killed += killed
-            print(f"evaluate: try {outcome.tries} of {kills}, {outcome.killed} killed", file=sys.stderr)
+            print(f"evaluate: {outcome.killed} of {kills} killed", file=sys.stderr)
             code = finish(start(command, folder))
             if code or without_times(scores()) != expected:
                 outcome.faults.append(f"try {number}, {chosen.name}: goes on to something else ({code})")
