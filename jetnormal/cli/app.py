@@ -23,6 +23,7 @@ from jetnormal.cli.preview import preview
 from jetnormal.cli.reconstruct import reconstruct
 from jetnormal.cli.train import train
 from jetnormal.errors import INTERRUPTED
+from jetnormal.support.extras import named_extras
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -92,7 +93,8 @@ def main() -> None:
     _replace_closed_streams()
     _clean_up_when_ended()
     try:
-        code = app(prog_name="jetnormal", standalone_mode=False) or 0  # of closed pipes (1), it exits in here
+        with named_extras():
+            code = app(prog_name="jetnormal", standalone_mode=False) or 0  # of closed pipes (1), it exits in here
         if code == INTERRUPTED:
             report_json("interrupted", code)
         sys.stdout.flush()  # a full disk behind stdout shows here, where it can be handled

@@ -159,12 +159,14 @@ def check_mesh(mesh: Path, output: Path, orient: str, force: bool) -> None:
         InputError: it cannot be written.
     """
     from jetnormal.formats.meshes import check_mesh_target
+    from jetnormal.support.open3d_loader import require_open3d
 
     if os.path.realpath(mesh) == os.path.realpath(output):  # Path.resolve fails on a loop of links
         raise UsageError(f"{mesh}: the mesh would overwrite the cloud; give it a name of its own")
     if orient == "none":
         raise UsageError("a mesh needs to know outside from inside: leave `orient=none` out")
     check_mesh_target(mesh, overwrite=force)
+    require_open3d("reconstructs surfaces")
 
 
 def report_warnings(summary: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from jetnormal.errors import ModelError, UsageError
 from jetnormal.networks.model_file import ARCHITECTURES, read_description
 from jetnormal.networks.packaged import packaged_names, resolve
+from jetnormal.support.extras import named_extras
 from jetnormal.support.options import MAX_THREADS
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def make_estimator(
     Raises:
         UsageError: a setting is unknown, out of range, or given to a model without it.
         ModelError: there is no such model, or its file is damaged.
-        ResourceError: the device is not there.
+        ResourceError: the device is not there, or PyTorch is missing, without which only CloudFit works.
     """
     name, settings = _parse(model)
     given = {"k": k, "order": order, "iterations": iterations} | settings
@@ -95,7 +96,8 @@ def make_estimator(
     kind = _KINDS[name] if path is None else _kind_of(path)
     if not kind.runs_on_gpu and device not in ("auto", "cpu"):
         raise UsageError(f"the model {name} runs on the CPU: leave out the option device, or choose a network")
-    return kind.build(model, path, _only(chosen, name, kind.settings), Resources(batch_size, device, threads))
+    with named_extras():
+        return kind.build(model, path, _only(chosen, name, kind.settings), Resources(batch_size, device, threads))
 
 
 def network_estimator(name: str, network: Network, *, device: str = "auto", threads: int | None = None) -> Estimator:

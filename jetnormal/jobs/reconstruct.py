@@ -21,6 +21,7 @@ from jetnormal.jobs.files import check_format, read_file
 from jetnormal.jobs.options import DEPTHS, ReadOptions, ReconstructOptions
 from jetnormal.jobs.prediction import prepare_estimator
 from jetnormal.mesh import Mesh
+from jetnormal.support.open3d_loader import require_open3d
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb
 
 MIN_POINTS = 10  # fewer suggest no surface
@@ -96,6 +97,7 @@ def reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTim
     from jetnormal.meshing import cleanup as surface
     from jetnormal.meshing.poisson import poisson
 
+    require_open3d("reconstructs surfaces")  # before the normals, which take longer
     cloud, facts = _with_normals(cloud, options, timer)
     facts["warnings"] = _faces_of(cloud) + facts["warnings"]
     points, normals = cloud.points, cloud.normals

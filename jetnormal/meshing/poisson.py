@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import ResourceError
-from jetnormal.support.open3d_loader import import_open3d
+from jetnormal.support.open3d_loader import import_open3d, require_open3d
 
 logger = logging.getLogger(__name__)
 
@@ -61,8 +61,7 @@ def poisson(
     Raises:
         ResourceError: Open3D is not there, or its solver has crashed on one thread, too.
     """
-    if import_open3d() is None:
-        raise ResourceError("surface reconstruction needs Open3D, which cannot be loaded here")
+    require_open3d("reconstructs surfaces")
     with tempfile.TemporaryDirectory(prefix="jetnormal-") as folder:
         np.savez(Path(folder, _INPUT), points=points, normals=normals)
         for count in dict.fromkeys((threads or -1, 1)):

@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.errors import ResourceError
 from jetnormal.geometry.vectors import unit
 from jetnormal.rendering.camera import camera_axes, view_direction
 from jetnormal.rendering.light import BACK_TINT, BACKGROUNDS, FILL, KEY
 from jetnormal.rendering.scene import CLAY, SURE, UNSURE, Scene
 from jetnormal.rendering.surfels import DISK_RADIUS, spacing
-from jetnormal.support.open3d_loader import import_open3d
+from jetnormal.support.open3d_loader import require_open3d
 
 MAX_POINTS = 250_000
 MAX_FACES = 180_000
@@ -135,9 +134,7 @@ def _simplified(scene: Scene, count: int) -> Scene:
     assert scene.faces is not None
     if len(scene.faces) <= count:
         return scene
-    open3d: Any = import_open3d()
-    if open3d is None:
-        raise ResourceError("meshes of this size need Open3D to be simplified, which cannot be loaded here")
+    open3d: Any = require_open3d("simplifies meshes of this size")
     mesh = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(scene.points), open3d.utility.Vector3iVector(scene.faces.astype(np.int32))
     )

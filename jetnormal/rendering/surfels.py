@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.errors import ResourceError
 from jetnormal.rendering.camera import Camera
 from jetnormal.rendering.scene import Scene
-from jetnormal.support.open3d_loader import import_open3d
+from jetnormal.support.open3d_loader import require_open3d
 
 Floats = NDArray[Any]  # float64, or float32 where there are many
 
@@ -152,9 +151,7 @@ def _fragments(
 
 
 def _cast(scene: Scene, camera: Camera) -> Surfels:
-    open3d: Any = import_open3d()
-    if open3d is None:
-        raise ResourceError("pictures of meshes need Open3D, which cannot be loaded here")
+    open3d: Any = require_open3d("draws meshes")
     assert scene.faces is not None
     caster = open3d.t.geometry.RaycastingScene()
     vertices = camera.to_frame(scene.points).astype(np.float32)

@@ -3,19 +3,38 @@
 from __future__ import annotations
 
 import ctypes
-import logging
 import os
 import threading
 from functools import cache
 from types import ModuleType
 
-logger = logging.getLogger(__name__)
+from jetnormal.errors import ResourceError
+from jetnormal.support.extras import advice
+
 _lock = threading.Lock()
 
 
-@cache
 def import_open3d() -> ModuleType | None:
-    """Import Open3D, or return None and warn once where it cannot be loaded.
+    """Import Open3D, or return None where it cannot be loaded."""
+    loaded = _load()
+    return None if isinstance(loaded, str) else loaded
+
+
+def require_open3d(task: str) -> ModuleType:
+    """Import Open3D for a task of its own, such as "draws meshes".
+
+    Raises:
+        ResourceError: it cannot be loaded.
+    """
+    loaded = _load()
+    if isinstance(loaded, str):
+        raise ResourceError(f"Open3D {task}, but {loaded}")
+    return loaded
+
+
+@cache
+def _load() -> ModuleType | str:
+    """Open3D, or why it is not there and what to do.
 
     One thread imports at a time: two that do so together can see a module without its contents.
 
@@ -23,26 +42,21 @@ def import_open3d() -> ModuleType | None:
     carries is loaded then. libGL and libEGL have no such stand-in.
     """
     with _lock:
-        return _import_or_warn()
-
-
-def _import_or_warn() -> ModuleType | None:
-    try:
-        return _import()
-    except ImportError as error:
-        reason = str(error)
-    if "libusb" in reason and _load_packaged_libusb():
         try:
             return _import()
         except ImportError as error:
-            reason = str(error)
-    logger.warning(
-        "Open3D cannot be loaded (%s): meshes, pictures of them and virtual scanners need it. "
-        "It needs the system libraries libusb-1.0, libGL and libEGL "
-        "(Debian, Ubuntu: apt install libusb-1.0-0 libgl1 libegl1)",
-        reason.partition("\n")[0],
+            failure = error
+        if "libusb" in str(failure) and _load_packaged_libusb():
+            try:
+                return _import()
+            except ImportError as error:
+                failure = error
+    if isinstance(failure, ModuleNotFoundError) and failure.name == "open3d":
+        return advice("open3d")
+    return (
+        f"it cannot be loaded ({str(failure).partition(chr(10))[0]}); install the system libraries libusb-1.0, libGL "
+        "and libEGL (Debian, Ubuntu: apt install libusb-1.0-0 libgl1 libegl1)"
     )
-    return None
 
 
 def _import() -> ModuleType:

@@ -17,6 +17,7 @@ from shapes import sphere
 from jetnormal.errors import ResourceError
 from jetnormal.meshing import poisson as module
 from jetnormal.meshing.poisson import poisson
+from jetnormal.support import open3d_loader
 from jetnormal.support.open3d_loader import import_open3d
 
 pytestmark = pytest.mark.skipif(import_open3d() is None, reason="Open3D cannot be loaded")
@@ -61,7 +62,7 @@ def test_a_second_crash_is_a_resource_error(scratch, monkeypatch, crash, words):
 
 
 def test_a_missing_open3d_is_a_resource_error(monkeypatch):
-    monkeypatch.setattr(module, "import_open3d", lambda: None)
+    monkeypatch.setattr(open3d_loader, "_load", lambda: "it is not there")
     with pytest.raises(ResourceError, match="Open3D"):
         poisson(sphere(500), sphere(500), 4)
 

@@ -50,25 +50,29 @@ class Outcome:
 
 def start(arguments: list[str], folder: Path, prepare: Callable[[], None] = lambda: None) -> int:
     """Run a command in a fork, in a folder; its output goes to the file `said` beside the folder."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # a Ctrl-C before the `try` would unwind this program in the fork
     pid = os.fork()
     if pid:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
         return pid
     code = 99
     try:
-        said = os.open(folder.with_name("said"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(said, 1)
-        os.dup2(said, 2)
-        os.chdir(folder)
-        prepare()
-        sys.argv = ["jetnormal", *arguments]
-        jetnormal_main()
-    except SystemExit as leaving:
-        code = leaving.code if isinstance(leaving.code, int) else 0 if leaving.code is None else 1
-    except KeyboardInterrupt:
-        code = 130
-    finally:
+        try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+            said = os.open(folder.with_name("said"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(said, 1)
+            os.dup2(said, 2)
+            os.chdir(folder)
+            prepare()
+            sys.argv = ["jetnormal", *arguments]
+            jetnormal_main()
+        except SystemExit as leaving:
+            code = leaving.code if isinstance(leaving.code, int) else 0 if leaving.code is None else 1
+        except KeyboardInterrupt:
+            code = 130
         with contextlib.suppress(OSError):
             sys.stdout.flush()
+    finally:
         os._exit(code)
 
 

@@ -2,11 +2,12 @@ from __future__ import annotations
 
 import builtins
 import contextlib
-import logging
 import os
+import sys
 
 import pytest
 
+from jetnormal.errors import ResourceError
 from jetnormal.support import open3d_loader as _open3d
 
 
@@ -22,31 +23,39 @@ def failing_import(monkeypatch):
         return real(name, *arguments, **options)
 
     monkeypatch.setattr(builtins, "__import__", import_or_fail)
-    _open3d.import_open3d.cache_clear()
+    _open3d._load.cache_clear()
     yield messages
-    _open3d.import_open3d.cache_clear()
+    _open3d._load.cache_clear()
 
 
-def test_missing_libraries_are_named_once(failing_import, caplog):
+def test_missing_libraries_are_named(failing_import):
     failing_import += ["libGL.so.1: cannot open shared object file"] * 2
-    with caplog.at_level(logging.WARNING, logger="jetnormal"):
-        assert _open3d.import_open3d() is None
-        assert _open3d.import_open3d() is None
-    (record,) = caplog.records
-    message = record.getMessage()
+    assert _open3d.import_open3d() is None
+    with pytest.raises(ResourceError) as raised:
+        _open3d.require_open3d("draws meshes")
+    message = str(raised.value)
     assert "\n" not in message
-    for word in ("libGL.so.1", "virtual scanners", "libusb-1.0-0", "libgl1", "libegl1"):
+    for word in ("draws meshes", "libGL.so.1", "libusb-1.0-0", "libgl1", "libegl1"):
         assert word in message
     assert len(failing_import) == 1  # the second call did not try again
 
 
-def test_missing_libusb_is_taken_from_the_package(failing_import, monkeypatch, caplog):
+def test_a_missing_package_names_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    _open3d._load.cache_clear()
+    with pytest.raises(ResourceError, match=r"casts rays, but it is not installed: pip install 'jetnormal\[mesh\]'"):
+        _open3d.require_open3d("casts rays")
+    _open3d._load.cache_clear()
+
+
+def test_missing_libusb_is_taken_from_the_package(failing_import, monkeypatch):
     loaded = []
     monkeypatch.setattr(_open3d.ctypes, "CDLL", lambda path, mode: loaded.append((path, mode)))
     failing_import += ["libusb-1.0.so.0: cannot open shared object file", "libGL.so.1: no such file"]
     assert _open3d.import_open3d() is None
     assert [mode for _, mode in loaded] == [_open3d.ctypes.RTLD_GLOBAL]
-    assert "libGL.so.1" in caplog.text  # the reason of the second try, not of the first
+    with pytest.raises(ResourceError, match=r"libGL\.so\.1"):  # the reason of the second try, not of the first
+        _open3d.require_open3d("draws meshes")
     assert failing_import == []
 
 

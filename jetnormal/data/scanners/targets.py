@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from jetnormal.data.mesh_sampler import MeshSampler
 from jetnormal.data.solids.csg import Solid
-from jetnormal.errors import ResourceError
-from jetnormal.support.open3d_loader import import_open3d
+from jetnormal.support.open3d_loader import require_open3d
 
 Floats = NDArray[np.float64]
 CHUNK = 1 << 18  # rays cast at a time, which bounds the memory
@@ -203,11 +202,8 @@ class RayCaster:
         Raises:
             ResourceError: Open3D cannot be loaded.
         """
-        open3d = import_open3d()
-        if open3d is None:
-            raise ResourceError("virtual scanners cast rays by Open3D, which cannot be loaded here")
-        self._open3d = open3d
-        self._scene = open3d.t.geometry.RaycastingScene()
+        self._open3d: Any = require_open3d("casts the rays of virtual scanners")
+        self._scene = self._open3d.t.geometry.RaycastingScene()
 
     def add(self, vertices: Floats, faces: NDArray[np.int64]) -> None:
         """Add a mesh; meshes are numbered from 0."""
