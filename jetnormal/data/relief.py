@@ -13,9 +13,9 @@ from jetnormal.geometry.vectors import unit
 Floats = NDArray[np.float64]
 
 WAVES = 24  # plane waves in a relief
-SHORTEST, LONGEST = 5.0, 60.0  # wavelengths, in units of the spacing of the points
+SHORTEST, LONGEST = 5.0, 50.0  # wavelengths, in units of the spacing of the points
 WIDEST = 8.0  # ratio of the longest to the shortest wavelength of a relief, at most
-FLATTEST, STEEPEST = 0.04, 0.45  # root mean square slope
+FLATTEST, STEEPEST = 0.08, 0.7  # root mean square slope
 CLEAR = 15.0  # wavelengths are at least this many times the noise, else points of one place would lie on other waves
 SAMPLE, NEIGHBORS = 300, 12  # points and their neighbors, from which the noise is told
 

@@ -92,9 +92,10 @@ def draw_crops(cloud: LabeledCloud, points: int, count: int, rng: np.random.Gene
     """
     from scipy.spatial import cKDTree
 
-    from jetnormal.geometry.neighbors import distinct
+    from jetnormal.geometry.neighbors import distinct, spatial_order
 
     rows = np.sort(distinct(cloud.points)[0])
+    rows = rows[spatial_order(cloud.points[rows])]
     places, normals = cloud.points[rows], cloud.normals[rows]
     labeled = np.ones(len(rows), dtype=np.bool_) if cloud.labeled is None else cloud.labeled[rows]
     tree = cKDTree(places)
@@ -105,7 +106,9 @@ def draw_crops(cloud: LabeledCloud, points: int, count: int, rng: np.random.Gene
         learned = labeled[nearest]
         if size < len(places):
             learned[round(INNER * size) :] = False
-        crops.append(Crop(places[nearest], normals[nearest], learned))
+        order = np.argsort(nearest)  # in space again: what the network reads together then lies together
+        nearest = nearest[order]
+        crops.append(Crop(places[nearest], normals[nearest], learned[order]))
     if rng.random() < SPARSE_SHARE:
         crops[0] = _sparse(places, normals, labeled, rng)
     return crops

@@ -50,19 +50,29 @@ def test_an_epoch_may_start_at_any_batch(first: int):
     assert_equal(list(sampler(clouds).epoch(0, first=first)), list(sampler(clouds).epoch(0))[first:])
 
 
-def test_a_crop_is_the_nearest_points_of_its_first():
+def test_a_crop_is_the_nearest_points_of_a_middle_and_learns_the_inner_ones():
     cloud = Spheres(points=600).cloud(0, 0, 0)
     sizes = set()
     for crop in draw_crops(cloud, 80, 20, np.random.default_rng(0))[1:]:
-        size = len(crop.points)
+        size, inner = len(crop.points), round(INNER * len(crop.points))
         sizes.add(size)
-        distances = np.linalg.norm(cloud.points - crop.points[0], axis=1)
-        np.testing.assert_allclose(np.linalg.norm(crop.points - crop.points[0], axis=1), np.sort(distances)[:size])
         np.testing.assert_allclose(crop.points, crop.normals)
-        assert crop.learned.sum() == round(INNER * size)
-        assert crop.learned[: crop.learned.sum()].all()
+        assert crop.learned.sum() == inner
+        middles = 0
+        for middle in crop.points[crop.learned]:
+            nearest = np.sort(np.linalg.norm(cloud.points - middle, axis=1))
+            far = np.linalg.norm(crop.points - middle, axis=1)
+            middles += far.max() < nearest[size - 1] + 1e-12 and far[crop.learned].max() < nearest[inner - 1] + 1e-12
+        assert middles >= 1
     assert 80 / SPREAD - 1 < min(sizes) < 70
     assert 100 < max(sizes) < 80 * SPREAD + 1
+
+
+def test_neighbors_in_a_crop_lie_near_in_memory():
+    cloud = Spheres(points=20_000).cloud(0, 0, 0)
+    points = draw_crops(cloud, 8000, 2, np.random.default_rng(0))[1].points
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert np.median(step) < 0.1 * np.linalg.norm(np.ptp(points, axis=0))
 
 
 def test_points_without_a_label_are_neither_a_middle_nor_learned():
