@@ -20,8 +20,8 @@ from jetnormal.jobs.tiled.cluster import run_on_cluster
 from jetnormal.jobs.tiled.merge import Merge
 from jetnormal.jobs.tiled.plan import Plan, distribute
 from jetnormal.jobs.tiled.store import Store
-from jetnormal.jobs.tiled.thinning import MOST, settle_signs
-from jetnormal.jobs.tiled.work import FIND, SIGN, estimator_for, run_task, signs_are_local
+from jetnormal.jobs.tiled.thinning import settle_signs
+from jetnormal.jobs.tiled.work import FIND, SIGN, THINNED_POINTS, estimator_for, run_task, signs_are_local
 from jetnormal.orientation.policy import Decision
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb, progress
 
@@ -36,7 +36,7 @@ def estimate_in_tiles(
     files: FileOptions,
     *,
     largest: int,
-    thinned: int = MOST,
+    thinned: int = THINNED_POINTS,
     resume: bool = False,
     cluster: str | None = None,
     overwrite: bool = False,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jetnormal.cloud import Source
 from jetnormal.geometry.neighbors import distinct
@@ -16,11 +18,10 @@ from jetnormal.jobs.tiled.store import Store
 from jetnormal.jobs.tiled.work import FIND, THINNED
 from jetnormal.orientation.policy import Decision, settle
 
-MOST = 1_000_000  # points of the thinned cloud
 DECISION = "decision"
 
 
-def settle_signs(store: Store, plan: Plan, options: EstimateOptions, source: Source, most: int = MOST) -> Decision:
+def settle_signs(store: Store, plan: Plan, options: EstimateOptions, source: Source, most: int) -> Decision:
     """Choose the signs of a thinned cloud and leave it in the folder, unless it is there.
 
     Args:
@@ -32,11 +33,8 @@ def settle_signs(store: Store, plan: Plan, options: EstimateOptions, source: Sou
     known = store.read_json(DECISION)
     if known is not None:
         return Decision(**known)
-    samples = [store.load("sample", tile) for tile in range(len(plan.counts))]
-    share = min(1.0, most / max(1, sum(map(len, samples))))
     points, normals = [], []
-    for tile, sample in enumerate(samples):
-        rows = np.sort(sample[np.arange(0, len(sample), 1 / share).astype(np.int64)]) if len(sample) else sample
+    for tile, rows in enumerate(_chosen(store, len(plan.counts), most)):
         points.append(store.raw("points", tile)[rows])
         normals.append(store.load(FIND, tile)["normal"][rows])
     together, directions = np.concatenate(points), np.concatenate(normals).astype(np.float64)
@@ -47,6 +45,16 @@ def settle_signs(store: Store, plan: Plan, options: EstimateOptions, source: Sou
     store.write_arrays(THINNED, {"points": together[first], "normals": orientation.normals, "sure": sure})
     store.write_json(DECISION, json.loads(json.dumps(asdict(decision), default=_plain)))
     return decision
+
+
+def _chosen(store: Store, tiles: int, most: int) -> Iterator[NDArray[np.int64]]:
+    """The rows of each tile that go into the thinned cloud: of a tile where points are far apart, more."""
+    samples = [store.load("sample", tile) for tile in range(tiles)]
+    spread = np.array([(store.read_json(f"{tile:05}") or {})["spread"] for tile in range(tiles)])
+    enough = sum(map(len, samples)) <= most
+    for sample, share in zip(samples, spread / max(spread.sum(), 1e-300), strict=True):
+        count = len(sample) if enough else min(len(sample), max(1, round(most * share)))
+        yield np.sort(sample[np.linspace(0, len(sample) - 1, count).astype(np.int64)])
 
 
 def _plain(value: Any) -> Any:

@@ -23,7 +23,8 @@ from jetnormal.orientation.sensors import Sensors
 Floats = NDArray[np.float64]
 
 SIGN_HALO = 6.0  # width, in root mean square distances of the 16 neighbors, of what is seen for signs
-CANDIDATES = 20_000  # points of a tile that may go into the thinned cloud
+THINNED_POINTS = 1_000_000  # of the thinned cloud, about
+CANDIDATES = 50_000  # points of a tile, at least, that may go into the thinned cloud
 SPACING_NEIGHBORS = 8
 
 SAMPLED = 20_000  # points that tell how far apart the points of a tile are
@@ -74,8 +75,10 @@ def find_directions(store: Store, plan: Plan, tile: int, options: EstimateOption
     found = np.empty(len(core), FOUND)
     found["normal"], found["confidence"] = prediction.normals, prediction.confidence
     found["curvatures"] = np.nan if prediction.curvatures is None else prediction.curvatures
-    store.save("sample", tile, first[_candidates(core, options.threads)])
-    said = {"model": name, "warnings": warnings, "has_curvature": prediction.curvatures is not None}
+    candidates, spread = _candidates(core, len(plan.counts), options.threads)
+    store.save("sample", tile, first[candidates])
+    has_curvature = prediction.curvatures is not None
+    said = {"model": name, "warnings": warnings, "has_curvature": has_curvature, "spread": spread}
     degenerate = ~np.isfinite(found["normal"]).all(axis=1)
     store.write_json(f"{tile:05}", said | {"degenerate": int(degenerate[copies].sum())})
     store.save(FIND, tile, found[copies])
@@ -135,15 +138,21 @@ def _near(store: Store, plan: Plan, tile: int, other: int, width: float) -> tupl
     return np.array(points[rows]), rows
 
 
-def _candidates(points: Floats, threads: int | None) -> NDArray[np.int64]:
-    """Rows of a tile that may go into the thinned cloud: the closer points are, the fewer of them."""
-    if len(points) <= CANDIDATES:
-        return np.arange(len(points))
-    _, distances = NeighborIndex(points, threads=threads).query(points, SPACING_NEIGHBORS + 1)
+def _candidates(points: Floats, tiles: int, threads: int | None) -> tuple[NDArray[np.int64], float]:
+    """Rows of one of many tiles that may go into the thinned cloud, in spatial order, and how far the tile spreads.
+
+    The closer points are, the fewer of them. The spread is the sum of their distances to near ones.
+    """
+    most = max(CANDIDATES, 2 * THINNED_POINTS // tiles)
+    near = min(SPACING_NEIGHBORS + 1, len(points))
+    _, distances = NeighborIndex(points, threads=threads).query(points, near)
     order = spatial_order(points)
     weight = np.cumsum(distances[order, -1])
-    steps = (np.arange(CANDIDATES) + 0.5) * (weight[-1] / CANDIDATES)
-    return np.unique(order[np.searchsorted(weight, steps)])
+    if len(points) <= most:
+        return order, float(weight[-1])
+    steps = (np.arange(most) + 0.5) * (weight[-1] / most)
+    rows = order[np.searchsorted(weight, steps)]
+    return rows[np.append(True, rows[1:] != rows[:-1])], float(weight[-1])
 
 
 def _silent(count: int, note: str = "") -> None:
