@@ -13,7 +13,8 @@ import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -34,8 +35,10 @@ from jetnormal.formats.scans import (
     quaternion_of,
     rotation_of,
     split_scans,
+    stream_of_scans,
 )
 from jetnormal.formats.storage import COLORS, to_storable, unpack_colors
+from jetnormal.formats.streams import CloudStream
 
 ENCODINGS = ("binary",)
 
@@ -80,6 +83,32 @@ def read(path: Path) -> Cloud:
     Raises:
         InputError: the file is no E57 file, is damaged, or pye57 is missing.
     """
+    with _opened(path) as (e57, image, nodes):
+        scans = [_read_scan(e57, image, node, path) for node in nodes]
+        details = _read_details(e57, image, nodes)
+    return cloud_from_scans(scans, Source(format="e57", encoding="binary"), path, details)
+
+
+def stream(path: Path) -> CloudStream:
+    """Open an E57 file to be read scan by scan.
+
+    Raises:
+        InputError: as `read`.
+    """
+    with _opened(path) as (e57, image, nodes):
+        details = _read_details(e57, image, nodes)
+
+    def scans() -> Iterator[Scan]:
+        with _opened(path) as (e57, image, nodes):
+            for node in nodes:
+                yield _read_scan(e57, image, node, path)
+
+    return stream_of_scans(scans, Source(format="e57", encoding="binary"), path, details)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any, list[Any]]]:
+    """The library, an open file, and the nodes of its scans."""
     with path.open("rb") as stream:
         if stream.read(8) != b"ASTM-E57":
             raise InputError(f"{path}: does not begin with 'ASTM-E57'; is this an E57 file?")
@@ -87,12 +116,9 @@ def read(path: Path) -> Cloud:
     with library_errors(path, "pye57"):
         image = e57.ImageFile(str(path), "r")
         try:
-            nodes = _children(e57, _children(e57, image.root()).get("data3D")).values()
-            scans = [_read_scan(e57, image, node, path) for node in nodes]
-            details = _read_details(e57, image, list(nodes))
+            yield e57, image, list(_children(e57, _children(e57, image.root()).get("data3D")).values())
         finally:
             image.close()
-    return cloud_from_scans(scans, Source(format="e57", encoding="binary"), path, details)
 
 
 def _children(e57: Any, node: Any) -> dict[str, Any]:
@@ -447,4 +473,4 @@ def _field(e57: Any, name: str, values: NDArray[Any], known: Any) -> Any:
     return ("FloatNode", 0.0, e57.E57_SINGLE if values.dtype == np.float32 else e57.E57_DOUBLE)
 
 
-FORMATS = (Format("e57", (".e57",), read, write, ENCODINGS, keeps_viewpoint=True),)
+FORMATS = (Format("e57", (".e57",), read, write, ENCODINGS, keeps_viewpoint=True, stream=stream),)

@@ -7,6 +7,7 @@ by column; ``0 0 0`` stands for what was not measured. The format has no place f
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,8 +17,9 @@ from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats.columns import COORDINATES, Columns
 from jetnormal.formats.registry import Format
-from jetnormal.formats.scans import Pose, Scan, cloud_from_scans
+from jetnormal.formats.scans import Pose, Scan, cloud_from_scans, stream_of_scans
 from jetnormal.formats.storage import COLORS
+from jetnormal.formats.streams import CloudStream
 from jetnormal.formats.table import read_table
 
 _NAMES = {3: COORDINATES, 4: (*COORDINATES, "intensity"), 7: (*COORDINATES, "intensity", *COLORS)}
@@ -33,13 +35,24 @@ def read(path: Path) -> Cloud:
     Raises:
         InputError: the file is no PTX file, or is damaged.
     """
-    scans = []
+    return cloud_from_scans(list(_scans(path)), Source(format="ptx", encoding="ascii"), path)
+
+
+def stream(path: Path) -> CloudStream:
+    """Open a PTX file to be read scan by scan.
+
+    Raises:
+        InputError: as `read`.
+    """
+    return stream_of_scans(lambda: _scans(path), Source(format="ptx", encoding="ascii"), path)
+
+
+def _scans(path: Path) -> Iterator[Scan]:
     with path.open("rb") as stream:
         line = 1
         while (first := _next_line(stream)) is not None:
             scan, line = _read_scan(stream, first, path, line)
-            scans.append(scan)
-    return cloud_from_scans(scans, Source(format="ptx", encoding="ascii"), path)
+            yield scan
 
 
 def _next_line(stream: BinaryIO) -> list[str] | None:
@@ -89,4 +102,4 @@ def _read_grid(stream: BinaryIO, width: int, height: int, path: Path, line: int)
     return columns | {"row": index % max(height, 1), "column": index // max(height, 1)}
 
 
-FORMATS = (Format("ptx", (".ptx",), read, None, ("ascii",)),)
+FORMATS = (Format("ptx", (".ptx",), read, None, ("ascii",), stream=stream),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, cloud_from_columns
+from jetnormal.formats.streams import CloudStream, memory_of
 
 SCAN = "scan"
 """The attribute that counts the scans from 0."""
@@ -111,6 +112,40 @@ def cloud_from_scans(scans: Sequence[Scan], source: Source, path: Path, details:
     else:
         source = replace(source, viewpoint=_AT_ORIGIN)
     return cloud_from_columns(columns, source, path)
+
+
+def stream_of_scans(
+    scans: Callable[[], Iterator[Scan]], source: Source, path: Path, details: Any = None
+) -> CloudStream:
+    """Join scans into a cloud that comes in pieces, as `cloud_from_scans`; one scan is in memory at a time.
+
+    Args:
+        scans: reads the file, which is done once for what all scans have in common, and then for the points.
+        source, path, details: as for `cloud_from_scans`.
+
+    Raises:
+        InputError: as `cloud_from_scans`.
+    """
+    heads, points, on_rasters = [], 0, True
+    for scan in scans():
+        heads.append(scan._replace(columns={name: values[:0].copy() for name, values in scan.columns.items()}))
+        points += len(scan.columns["x"])
+        on_rasters &= _is_raster(scan.columns)
+    empty = cloud_from_scans(heads, source, path, details)
+    knows_sensors = on_rasters or empty.source.sensors is not None
+
+    def pieces(rows: int) -> Iterator[Cloud]:
+        for number, scan in enumerate(scans()):
+            for start in range(0, len(scan.columns["x"]), rows):
+                part = scan._replace(columns={n: values[start : start + rows] for n, values in scan.columns.items()})
+                cloud = cloud_from_scans([*heads[:number], part, *heads[number + 1 :]], source, path, details)
+                places = np.tile(scan.pose.translation, (len(cloud), 1)) if knows_sensors else None
+                about = replace(cloud.source, sensors=places, viewpoint=None if knows_sensors else _AT_ORIGIN)
+                yield replace(cloud, source=about)
+        if not points:
+            yield empty
+
+    return CloudStream(points, memory_of(next(pieces(1))), pieces)
 
 
 def _is_raster(columns: Columns) -> bool:

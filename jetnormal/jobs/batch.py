@@ -12,7 +12,8 @@ from jetnormal import formats
 from jetnormal.errors import InputError, JetnormalError, ResourceError, UsageError
 from jetnormal.jobs.estimate import run_file
 from jetnormal.jobs.files import check_file
-from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions
+from jetnormal.jobs.memory import room_for_tiles
+from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions, LargeOptions
 from jetnormal.jobs.prediction import prepare_estimator
 from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 
@@ -65,6 +66,12 @@ def estimate_files(
         estimator = prepare_estimator(options)
 
     def run_one(source: Path, target: Path) -> dict[str, Any]:
+        room = room_for_tiles(source, files, LargeOptions())
+        if room is not None:
+            from jetnormal.jobs.tiled.run import estimate_in_tiles
+
+            with turn:
+                return estimate_in_tiles(source, target, options, files, room=room, overwrite=overwrite)
         return run_file(source, target, options, files, estimator, StageTimer(), overwrite=overwrite, turn=turn)
 
     turn = threading.Lock()

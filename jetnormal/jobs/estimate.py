@@ -17,7 +17,7 @@ from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError
 from jetnormal.estimators.base import Estimator
 from jetnormal.jobs.files import check_file, check_format, read_file, write_file
-from jetnormal.jobs.memory import points_of_a_tile
+from jetnormal.jobs.memory import room_for_tiles
 from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions, NormalOptions
 from jetnormal.jobs.prediction import predict, prepare_estimator, turned_curvatures
 from jetnormal.support.report import StageTimer, peak_memory_mb, progress
@@ -116,8 +116,8 @@ def estimate_file(
     timer = StageTimer()
     check_format(files, source, target)
     check_file(target, files, overwrite=overwrite)
-    tile = points_of_a_tile(source, files, large)
-    if tile is not None:
+    room = room_for_tiles(source, files, large)
+    if room is not None:
         from jetnormal.jobs.tiled.run import estimate_in_tiles
 
         return estimate_in_tiles(
@@ -125,7 +125,7 @@ def estimate_file(
             target,
             options,
             files,
-            largest=tile,
+            room=room,
             resume=large.resume,
             cluster=large.cluster,
             overwrite=overwrite,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 from jetnormal import formats
@@ -16,7 +17,9 @@ from jetnormal.support.report import logger
 
 SHARE = 0.6  # of the machine's memory
 PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
-PER_POINT = 700  # bytes of a cloud that is computed at once, and of a tile, at the peak
+PER_POINT = 1400  # bytes of a cloud that is computed at once, at the peak: when the signs are chosen
+IN_TILE = 1000  # bytes of a point of a tile and its halo, at the peak
+THINNED = 1_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
 LINE = 25  # bytes of a point in a text file, at least
 ON_DISK = 70  # bytes of a point in its tile, with what is found of it
@@ -56,8 +59,21 @@ def at_once(path: Path, files: ReadOptions) -> int:
     return PROGRAM + size // LINE * PER_POINT
 
 
-def points_of_a_tile(source: Path, files: ReadOptions, large: LargeOptions) -> int | None:
-    """Find how many points a tile may have; None if the cloud is computed at once.
+@dataclass(frozen=True)
+class Room:
+    """How many points fit into memory.
+
+    Attributes:
+        tile: points of a tile, about.
+        thinned: points of the thinned cloud that tells the signs, about.
+    """
+
+    tile: int
+    thinned: int
+
+
+def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions) -> Room | None:
+    """Find how many points fit into memory; None if the cloud is computed at once.
 
     Raises:
         InputError: the cloud takes more memory than it may, and its format is not read in pieces.
@@ -74,11 +90,12 @@ def points_of_a_tile(source: Path, files: ReadOptions, large: LargeOptions) -> i
             able = " ".join(sorted(s for each in formats.all_formats() if each.stream for s in each.suffixes))
             raise InputError(f"{takes}, and {known.name} files are not read in pieces; {able} are")
         logger.info("%s: it is computed in tiles", takes.replace("`max_memory`", "--max-memory"))
-    largest = int((limit - PROGRAM) / (PER_POINT * (1 + HALO_SHARE)))
-    if largest < LEAST_TILE:
-        least = (PROGRAM + LEAST_TILE * PER_POINT * (1 + HALO_SHARE)) / 1e9
+    rest = limit - PROGRAM
+    room = Room(min(CORE, int(rest / IN_TILE / (1 + HALO_SHARE))), min(THINNED, int(rest / PER_POINT)))
+    if room.tile < LEAST_TILE:
+        least = (PROGRAM + LEAST_TILE * IN_TILE * (1 + HALO_SHARE)) / 1e9
         raise ResourceError(f"`max_memory` is {limit / 1e9:.2g} GB, but a tile needs {least:.1f} GB")
-    return min(CORE, largest)
+    return room
 
 
 def check_disk(folder: Path, stream: CloudStream, source: Path) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from jetnormal.cloud import Cloud
+from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats import open_stream, read, write, write_pieces
+from jetnormal.formats.scans import Pose, ScansExtra
 
 PIECE = 37
 TARGETS = ["a.las", "a.laz", "a.ply", "a.pcd", "a.npy", "a.xyz", "a.csv", "a.pts"]
@@ -23,7 +26,8 @@ def cloud() -> Cloud:
 
 def joined(pieces: list[Cloud]) -> Cloud:
     attributes = {name: np.concatenate([p.attributes[name] for p in pieces]) for name in pieces[0].attributes}
-    return Cloud(np.concatenate([p.points for p in pieces]), None, attributes, pieces[0].source)
+    source = replace(pieces[0].source, sensors=None)
+    return Cloud(np.concatenate([p.points for p in pieces]), None, attributes, source)
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -39,6 +43,34 @@ def test_pieces_are_the_whole(tmp_path, cloud, name):
     for key, values in whole.attributes.items():
         assert again.attributes[key].dtype == values.dtype
         np.testing.assert_array_equal(again.attributes[key], values)
+
+
+@pytest.mark.parametrize("name", ["a.e57", "a.ptx"])
+def test_scans_come_one_by_one(tmp_path, name):
+    """Two scans of which one has no color, and points that were not measured: the pieces are the whole."""
+    path = tmp_path / name
+    if name == "a.ptx":
+        head = "{}\n1\n{} 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n{} 0 0 1\n"
+        rows = [f"{i} {i * i} 1 0.5" for i in range(50)] + ["0 0 0 0"]
+        colored = [f"{row} 1 2 {i}" for i, row in enumerate(rows)]
+        path.write_text("".join(head.format(51, x, x) + "\n".join(r) + "\n" for x, r in ((5, rows), (0, colored))))
+    else:
+        pytest.importorskip("pye57")
+        rng = np.random.default_rng(0)
+        poses = (Pose(translation=np.array([1.0, 2, 3])), Pose())
+        scan = np.repeat(np.arange(2, dtype=np.uint16), 100)
+        source = Source(format="e57", extra=ScansExtra(poses))
+        write(Cloud(rng.random((200, 3)), None, {"intensity": rng.random(200), "scan": scan}, source), path)
+    whole, stream = read(path), open_stream(path)
+    found = list(stream.pieces(PIECE))
+    again = joined(found)
+    assert stream.points == len(whole) == len(again) and max(map(len, found)) <= PIECE
+    assert again.points.tobytes() == whole.points.tobytes() and again.source.notes == whole.source.notes
+    assert list(again.attributes) == list(whole.attributes)
+    for key, values in whole.attributes.items():
+        assert again.attributes[key].dtype == values.dtype
+        np.testing.assert_array_equal(again.attributes[key], values)
+    np.testing.assert_array_equal(np.concatenate([p.source.sensors for p in found]), whole.source.sensors)
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -7,10 +7,12 @@ from shapes import sphere_cloud
 
 from jetnormal.errors import ResourceError
 from jetnormal.formats import write
+from jetnormal.jobs.memory import Room
 from jetnormal.jobs.options import EstimateOptions, FileOptions
 from jetnormal.jobs.tiled import cluster as tiles_on
 from jetnormal.jobs.tiled import run
 
+ROOM = Room(500, 10**6)
 OPTIONS = EstimateOptions("jet:k=20,order=2", confidence=True)
 
 
@@ -33,7 +35,7 @@ def test_a_lost_node_changes_no_byte(tmp_path, monkeypatch, nodes):
     cluster, second = nodes
     write(sphere_cloud(), tmp_path / "a.ply")
     here, there = tmp_path / "here.ply", tmp_path / "there.ply"
-    run.estimate_in_tiles(tmp_path / "a.ply", here, OPTIONS, FileOptions(), largest=500)
+    run.estimate_in_tiles(tmp_path / "a.ply", here, OPTIONS, FileOptions(), room=ROOM)
     lost = []
 
     def with_a_loss(*arguments):
@@ -44,7 +46,7 @@ def test_a_lost_node_changes_no_byte(tmp_path, monkeypatch, nodes):
                 cluster.remove_node(second, allow_graceful=False)
 
     monkeypatch.setattr(run, "run_on_cluster", with_a_loss)
-    run.estimate_in_tiles(tmp_path / "a.ply", there, OPTIONS, FileOptions(), largest=500, cluster="auto")
+    run.estimate_in_tiles(tmp_path / "a.ply", there, OPTIONS, FileOptions(), room=ROOM, cluster="auto")
     assert lost and there.read_bytes() == here.read_bytes()
 
 
@@ -52,6 +54,4 @@ def test_a_cluster_that_is_not_there_is_an_error(tmp_path):
     pytest.importorskip("ray")
     write(sphere_cloud(), tmp_path / "a.ply")
     with pytest.raises(ResourceError, match="no cluster at auto"):
-        run.estimate_in_tiles(
-            tmp_path / "a.ply", tmp_path / "b.ply", OPTIONS, FileOptions(), largest=2000, cluster="auto"
-        )
+        run.estimate_in_tiles(tmp_path / "a.ply", tmp_path / "b.ply", OPTIONS, FileOptions(), room=ROOM, cluster="auto")

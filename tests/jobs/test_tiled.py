@@ -18,6 +18,7 @@ from jetnormal.formats import read, write
 from jetnormal.geometry import cells
 from jetnormal.jobs import memory
 from jetnormal.jobs.estimate import estimate_file
+from jetnormal.jobs.memory import Room
 from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions
 from jetnormal.jobs.tiled.run import estimate_in_tiles
 
@@ -26,7 +27,7 @@ TILE = 1200
 
 
 def in_tiles(source: Path, target: Path, options: EstimateOptions = JET, **settings):
-    return estimate_in_tiles(source, target, options, FileOptions(), **{"largest": TILE, **settings})
+    return estimate_in_tiles(source, target, options, FileOptions(), **{"room": Room(TILE, 10**6), **settings})
 
 
 VARYING = ("seconds", "output", "points_per_second", "tiles", "peak_memory_mb", "warnings")
@@ -84,6 +85,7 @@ def test_tiles_are_the_blocks_of_a_cloud_in_memory(tmp_path, monkeypatch):
 KILLED = """
 import os, sys
 from pathlib import Path
+from jetnormal.jobs import memory
 from jetnormal.jobs.options import EstimateOptions, FileOptions
 from jetnormal.jobs.tiled import run, work
 
@@ -97,7 +99,7 @@ def task(*arguments):
 
 run.run_task = task
 options = EstimateOptions("jet:k=20,order=2", confidence=True, curvature=True, sign_confidence=True)
-run.estimate_in_tiles(Path(sys.argv[1]), Path(sys.argv[2]), options, FileOptions(), largest=1200)
+run.estimate_in_tiles(Path(sys.argv[1]), Path(sys.argv[2]), options, FileOptions(), room=memory.Room(1200, 10**6))
 """
 
 
@@ -150,10 +152,10 @@ def test_a_cloud_beyond_the_memory_goes_in_tiles(tmp_path, monkeypatch):
     write(sphere_cloud(), tmp_path / "a.ply")
     monkeypatch.setattr(memory, "PROGRAM", 0)
     monkeypatch.setattr(memory, "LEAST_TILE", 100)
-    monkeypatch.setattr(memory, "machine_memory", lambda: 5_000_000)
+    monkeypatch.setattr(memory, "machine_memory", lambda: 6_500_000)
     assert "tiles" in estimate_file(tmp_path / "a.ply", tmp_path / "b.ply", JET)
     write(sphere_cloud(), tmp_path / "a.npz")
-    with pytest.raises(InputError, match=r"more than 0\.003 GB \(`max_memory`\), and numpy files .*; .*\.ply"):
+    with pytest.raises(InputError, match=r"more than 0\.0039 GB \(`max_memory`\), and numpy files .*; .*\.ply"):
         estimate_file(tmp_path / "a.npz", tmp_path / "d.ply", JET)
     large = LargeOptions(max_memory=100_000_000)
     assert "tiles" not in estimate_file(tmp_path / "a.ply", tmp_path / "c.ply", JET, large=large)

@@ -14,18 +14,18 @@ from jetnormal.cloud import Source
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats import CloudStream
 from jetnormal.jobs.estimate import gaps
-from jetnormal.jobs.memory import check_disk
+from jetnormal.jobs.memory import Room, check_disk
 from jetnormal.jobs.options import EstimateOptions, FileOptions
 from jetnormal.jobs.tiled.cluster import run_on_cluster
 from jetnormal.jobs.tiled.merge import Merge
 from jetnormal.jobs.tiled.plan import Plan, distribute
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.jobs.tiled.thinning import settle_signs
-from jetnormal.jobs.tiled.work import FIND, SIGN, THINNED_POINTS, estimator_for, run_task, signs_are_local
+from jetnormal.jobs.tiled.work import FIND, SIGN, estimator_for, run_task, signs_are_local
 from jetnormal.orientation.policy import Decision
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb, progress
 
-JOB = "job"
+JOB, ROOM = "job", "room"
 _NOT_IN_RESULTS = ("threads", "device", "batch_size")  # options that change how a result is reached
 
 
@@ -35,8 +35,7 @@ def estimate_in_tiles(
     options: EstimateOptions,
     files: FileOptions,
     *,
-    largest: int,
-    thinned: int = THINNED_POINTS,
+    room: Room,
     resume: bool = False,
     cluster: str | None = None,
     overwrite: bool = False,
@@ -45,8 +44,7 @@ def estimate_in_tiles(
 
     Args:
         source, target, options, files, overwrite: as for `jobs.estimate.estimate_file`.
-        largest: points of a tile, about.
-        thinned: points of the cloud that tells the signs, about.
+        room: points of a tile and of the thinned cloud; of a run that is resumed, they stay what they were.
         resume: whether to go on with the tiles that an interrupted run has left.
         cluster: where the tiles are computed: None for here, else see `cluster.run_on_cluster`.
 
@@ -70,9 +68,10 @@ def estimate_in_tiles(
     store = _open_store(folder, _identity(source, options, files), resume)
     job = _Job(store, stream, source, options, cluster, timer)
     try:
-        plan = job.distribute(largest)
+        room = Room(*(store.read_json(ROOM) or asdict(room)).values())
+        plan = job.distribute(room)
         job.find_directions(plan)
-        decision = job.find_signs(plan, thinned)
+        decision = job.find_signs(plan, room.thinned)
         summary = job.write(plan, decision, target, files, overwrite=overwrite)
     except BaseException:
         if Plan.of(store) is None:
@@ -95,13 +94,14 @@ class _Job:
     cluster: str | None
     timer: StageTimer
 
-    def distribute(self, largest: int) -> Plan:
+    def distribute(self, room: Room) -> Plan:
         """All points into their tiles."""
         plan = Plan.of(self.store)
         if plan is None:
             self.store.clear(JOB)  # what an interrupted distribution has left
+            self.store.write_json(ROOM, asdict(room))
             with self.timer.stage("clean"):
-                plan = distribute(self.stream, self.store, self.options, largest)
+                plan = distribute(self.stream, self.store, self.options, room.tile)
         logger.info("%s points are in %d tiles in %s", f"{plan.points:,}", len(plan.counts), self.store.folder)
         return plan
 

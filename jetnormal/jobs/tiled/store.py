@@ -1,12 +1,16 @@
-"""The folder of tiles: what is on disk while a large cloud is computed. A file in it is complete or not there.
+"""The folder of tiles: what is on disk while a large cloud is computed. A JSON file or array is complete or not there.
 
-plan.json            what is computed, and where the cloud is cut; there once all points are in their tiles
+job.json             what is computed: the input and the options
+room.json            points of a tile, and of the thinned cloud
+plan.json            the tiles; there once all points are in them
 00012.points         (n, 3) float64, in the order of the input
 00012.rows           (n,) int64, which rows of the input they are
 00012.sensors        (n, 3) float64, where each was seen from, if that is known for each
 00012.found.npy      (n,) FOUND, the estimator's directions
 00012.sample.npy     rows of the tile that may go into the thinned cloud
+00012.json           what the estimator said
 thinned.npz          the thinned cloud with signs
+decision.json        how they were chosen
 00012.signed.npy     (n,) SIGNED, the signs of the directions
 """
 

@@ -12,6 +12,7 @@ from jetnormal.cloud import Source
 from jetnormal.estimators.base import Estimator
 from jetnormal.estimators.blocks import HALO, halo_width, with_halo
 from jetnormal.geometry.neighbors import NeighborIndex, distinct, spatial_order
+from jetnormal.jobs import memory
 from jetnormal.jobs.options import EstimateOptions
 from jetnormal.jobs.prediction import predict, prepare_estimator
 from jetnormal.jobs.tiled.plan import Plan
@@ -23,7 +24,6 @@ from jetnormal.orientation.sensors import Sensors
 Floats = NDArray[np.float64]
 
 SIGN_HALO = 6.0  # width, in root mean square distances of the 16 neighbors, of what is seen for signs
-THINNED_POINTS = 1_000_000  # of the thinned cloud, about
 CANDIDATES = 50_000  # points of a tile, at least, that may go into the thinned cloud
 SPACING_NEIGHBORS = 8
 
@@ -143,7 +143,7 @@ def _candidates(points: Floats, tiles: int, threads: int | None) -> tuple[NDArra
 
     The closer points are, the fewer of them. The spread is the sum of their distances to near ones.
     """
-    most = max(CANDIDATES, 2 * THINNED_POINTS // tiles)
+    most = max(CANDIDATES, 2 * memory.THINNED // tiles)
     near = min(SPACING_NEIGHBORS + 1, len(points))
     _, distances = NeighborIndex(points, threads=threads).query(points, near)
     order = spatial_order(points)
