@@ -17,7 +17,7 @@ from jetnormal.support.report import logger
 
 SHARE = 0.6  # of the machine's memory
 PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
-PER_POINT = 1400  # bytes of a cloud that is computed at once, at the peak: when the signs are chosen
+PER_POINT = 1750  # bytes of a cloud that is computed at once, at the peak: when the signs are chosen
 IN_TILE = 1000  # bytes of a point of a tile and its halo, at the peak
 THINNED = 1_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points

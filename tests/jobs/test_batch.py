@@ -52,10 +52,10 @@ def test_one_model_computes_one_cloud_at_a_time(scans, tmp_path, monkeypatch):
         class Watched:
             name, neighbors, min_points, has_curvature = "watched", 8, 3, False
 
-            def __call__(self, points, advance):
+            def __call__(self, points, queries, advance):
                 assert busy.acquire(blocking=False)
                 try:
-                    return estimator(points, advance=advance)
+                    return estimator(points, queries, advance)
                 finally:
                     busy.release()
 
