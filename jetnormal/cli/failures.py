@@ -77,6 +77,8 @@ def _is_out_of_memory(error: Exception) -> bool:
         return True
     if isinstance(error, OSError) and error.errno == errno.ENOMEM:
         return True
+    if isinstance(error, ImportError):  # of a compiled library, under a limit on memory
+        return "failed to map segment" in str(error)
     return isinstance(error, RuntimeError) and any(words in str(error) for words in _OUT_OF_MEMORY)
 
 

@@ -31,6 +31,7 @@ MAX_DISAGREEMENT = 0.1  # share of neighbors with opposite normals
 # An open surface is cut where the density falls below that of nearly all its vertices among the points.
 OPEN_TRIM_PERCENTILE = 2.0
 NOISE_CELLS = 4.0  # of the noise in a cell, by default
+FRAME_NOISE = 0.75  # quantile of the noise in the frame of a depth camera that decides
 FOR_NORMALS = ("model", "k", "order", "iterations", "orient", "viewpoint", "viewpoint_attribute", "trajectory")
 
 
@@ -111,7 +112,7 @@ def reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTim
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     centre, size = (points.min(axis=0) + points.max(axis=0)) / 2, float(np.ptp(points, axis=0).max())
     points = (points - centre) / size  # the solver has single precision
-    depth = options.depth or _fitting_depth(points, options.scale)
+    depth = options.depth or _fitting_depth(points, options.scale, (cloud.source.height or 1) > 1)
     logger.info("reconstructing %s points at depth %d", f"{len(points):,}", depth)
     with timer.stage("reconstruct"):
         vertices, faces, density = poisson(points, normals, depth, scale=options.scale, threads=options.threads)
@@ -192,15 +193,16 @@ def _doubts(points: NDArray[np.float64], normals: NDArray[np.float64]) -> list[s
     return [f"{100 * opposite.mean():.0f} % of neighbors have opposite normals; `recompute` estimates consistent ones"]
 
 
-def _fitting_depth(points: NDArray[np.float64], scale: float) -> int:
+def _fitting_depth(points: NDArray[np.float64], scale: float, is_frame: bool) -> int:
     """The depth at which the cells are no larger than the points, in a box of longest side 1, are apart.
 
     Where the points are noisier than that is fine, the cells are as large as four times the noise: smaller ones would
-    show the layers and bumps of a depth camera as scales.
+    show the layers and bumps of a depth camera as scales. In a frame of such a camera noise grows with the distance, and
+    that of the farther surfaces counts.
     """
-    from jetnormal.meshing.cleanup import typical_noise, typical_spacing
+    from jetnormal.meshing.cleanup import noise, typical_spacing
 
-    cell = max(typical_spacing(points), NOISE_CELLS * typical_noise(points))
+    cell = max(typical_spacing(points), NOISE_CELLS * noise(points, FRAME_NOISE if is_frame else 0.5))
     return int(np.clip(np.ceil(np.log2(scale / cell)), *DEPTHS))
 
 

@@ -35,8 +35,8 @@ def typical_spacing(points: Floats) -> float:
     return float(np.median(distances[:, -1])) * float(np.sqrt(np.pi / k))
 
 
-def typical_noise(points: Floats) -> float:
-    """Measure how far points (N, 3), N > 7, are typically off a smooth surface: off a quadric through their neighbors.
+def noise(points: Floats, quantile: float) -> float:
+    """Measure how far points (N, 3), N > 7, are off a smooth surface: off a quadric through their neighbors.
 
     The neighbors are many, for those of a depth camera next to each other are in one layer of its quantized depths.
     """
@@ -50,7 +50,7 @@ def typical_noise(points: Floats) -> float:
     u, v = u / size, v / size
     basis = np.linalg.qr(np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=2))[0]
     rest = height - np.einsum("nkm,nm->nk", basis, np.einsum("nkm,nk->nm", basis, height))
-    return float(np.median(np.sqrt((rest * rest).sum(axis=1) / (k - 6))))
+    return float(np.quantile(np.sqrt((rest * rest).sum(axis=1) / (k - 6)), quantile))
 
 
 def remoteness(vertices: Floats, points: Floats) -> Floats:

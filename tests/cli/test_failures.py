@@ -8,7 +8,8 @@ import pytest
 
 import jetnormal
 from jetnormal.cli.app import main
-from jetnormal.cli.failures import spell
+from jetnormal.cli.failures import report_failure, spell
+from jetnormal.errors import ResourceError
 
 
 @pytest.mark.parametrize(
@@ -22,6 +23,12 @@ from jetnormal.cli.failures import spell
 )
 def test_options_of_the_library_become_flags(message, spelled):
     assert spell(message) == spelled
+
+
+def test_a_library_that_a_limit_on_memory_keeps_out_is_a_lack_of_memory(capsys):
+    error = ImportError("_flapack.so: failed to map segment from shared object")
+    assert report_failure(error) == ResourceError.exit_code
+    assert "out of memory" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

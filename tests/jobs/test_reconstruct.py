@@ -105,11 +105,13 @@ def test_the_depth_follows_the_spacing_of_the_points(tmp_path):
 
 
 def test_noise_makes_the_cells_larger():
-    depths = []
-    for noise in (0.0, 0.03):
-        points = sphere(5000) * (1 + noise * np.random.default_rng(0).normal(size=(5000, 1)))
-        depths.append(_fitting_depth(points / 2, 1.1))
-    assert depths == [6, 5]  # 1.1 / 0.025, and 1.1 / 0.06
+    points, rng = sphere(5000), np.random.default_rng(0)
+    noisy = points * (1 + 0.03 * rng.normal(size=(5000, 1)))
+    far = np.where(points[:, :1] > 0.4, noisy, points)  # a third of them, as in the frame of a depth camera
+    assert _fitting_depth(points / 2, 1.1, is_frame=False) == 6  # 1.1 / 0.025
+    assert _fitting_depth(noisy / 2, 1.1, is_frame=False) == 5  # 1.1 / 0.06
+    assert _fitting_depth(far / 2, 1.1, is_frame=False) == 6
+    assert _fitting_depth(far / 2, 1.1, is_frame=True) == 5
 
 
 def test_specks_of_outliers_vanish():

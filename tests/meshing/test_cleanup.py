@@ -165,4 +165,4 @@ def test_in_a_large_cloud_specks_are_larger():
 @pytest.mark.parametrize("noise", [0.0, 0.005, 0.02])
 def test_noise_is_told_from_curvature(noise):
     points = sphere(2000) * (1 + noise * np.random.default_rng(1).normal(size=(2000, 1)))
-    assert surface.typical_noise(3 * points) == pytest.approx(3 * noise, rel=0.15, abs=0.001)
+    assert surface.noise(3 * points, 0.5) == pytest.approx(3 * noise, rel=0.15, abs=0.001)
