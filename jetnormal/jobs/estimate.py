@@ -39,7 +39,7 @@ class Result:
         confidence: (N,) float32, 0 to 1, how good each normal is (`estimators.base.Prediction`).
         curvatures: (N, 2) float32 principal curvatures, the larger first, in the inverse of the cloud's unit, positive
             where the surface bends towards the normal; None of a plane.
-        sign_confidence: (N,) float32, 0 to 1, how sure each sign is (`orientation.methods.Orientation`).
+        sign_confidence: (N,) float32, how probably each sign is right (`orientation.methods.Orientation`).
         model: what estimated the normals, with its settings.
         decision: the method that chose the signs, why that one, and how sure it is.
         warnings: what a user should know.

@@ -276,7 +276,7 @@ class EstimateOptions(NormalOptions):
         bool, Option("Add the attribute confidence, 0 to 1: how good the normal is.", group="Attributes")
     ] = False
     sign_confidence: Annotated[
-        bool, Option("Add the attribute sign_confidence, 0 to 1: how sure the sign is.", group="Attributes")
+        bool, Option("Add the attribute sign_confidence, the probability that the sign is right.", group="Attributes")
     ] = False
 
     def __post_init__(self) -> None:

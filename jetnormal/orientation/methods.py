@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jetnormal.geometry.neighbors import distinct, spatial_order
 from jetnormal.orientation.agreement import Surface
+from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.grazing import grazing_flips
 from jetnormal.orientation.outward import turn_outward, turn_up
 from jetnormal.orientation.single_view import Outcome, View
@@ -31,8 +32,9 @@ class Orientation:
 
     Attributes:
         normals: (N, 3) of the dtype that came in.
-        confidence: (N,) float32 in [0, 1], how sure each sign is: by the agreement of neighbors, patches and views;
-            for "viewpoint" and "up", the cosine between the normal and the sight line; 0 where no sign was chosen.
+        confidence: (N,) float32 in [0.5, 1], how probably each sign is right (`calibration`): by the agreement of
+            neighbors, patches and views; for "viewpoint" and "up", by the cosine between the normal and the sight
+            line; 0 where no sign was chosen.
         open: (N,) whether a point was found on a surface that has no outside.
         view: the side from which "view" thinks that the open surfaces were seen; None if they do not show one.
     """
@@ -101,9 +103,9 @@ def choose_signs(
         flip ^= cosine < 0
         seen = np.where(cosine < 0, -1.0, 1.0)[:, None] * used
         flip ^= grazing_flips(points[rows].astype(np.float64), seen, np.abs(cosine))
-        result.confidence[rows] = np.abs(cosine)
+        result.confidence[rows] = np.where(sights[rows].any(axis=1), probability(np.abs(cosine), "sight"), 0)
     elif method == "up":
-        result.confidence[rows] = used[:, 2]
+        result.confidence[rows] = probability(used[:, 2], "sight")
     elif len(rows):
         turned, found = _spread(points[rows].astype(np.float64), used, method)
         flip ^= turned
@@ -140,4 +142,12 @@ def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Out
         found = turn_outward(surface, views=method == "view")
     # Copies of a point follow the first one. In the graph, many of them would see nothing but each other.
     flips = np.einsum("nd,nd->n", normals, surface.normals[copy_of]) < 0
-    return flips, replace(found, sure=found.sure[copy_of], open=found.open[copy_of])
+    return flips, replace(found, sure=_probability(found, method)[copy_of], open=found.open[copy_of])
+
+
+def _probability(found: Outcome, method: Method) -> Floats:
+    """How probably signs are right (N,)."""
+    if method == "mst" or method == "terrain":
+        return probability(found.sure, method)
+    seen = probability(found.sure, "view" if found.view is not None and found.view.certain else "guess")
+    return np.where(found.open, seen, probability(found.sure, "outward"))

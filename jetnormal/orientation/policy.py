@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import ShapeError, UsageError
 from jetnormal.geometry.scale import unit_scale
+from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.methods import Method, Orientation, choose_signs
 from jetnormal.orientation.sensors import SensorOptions, Sensors, file_sensors, told_sensors
 
@@ -212,8 +213,16 @@ def _one_sided(points: Floats, orientation: Orientation) -> bool:
 
 def _towards_origin(points: Floats, orientation: Orientation) -> Orientation:
     """Turn open surfaces towards the origin, where a depth camera stands in its own frame."""
-    away = orientation.open & (np.einsum("nd,nd->n", orientation.normals, points) > 0)
-    return replace(orientation, normals=np.where(away[:, None], -orientation.normals, orientation.normals))
+    along = np.einsum("nd,nd->n", orientation.normals, points)
+    away = orientation.open & (along > 0)
+    cosine = np.abs(along) / np.maximum(
+        np.linalg.norm(points, axis=1) * np.linalg.norm(orientation.normals, axis=1), 1e-300
+    )
+    return replace(
+        orientation,
+        normals=np.where(away[:, None], -orientation.normals, orientation.normals),
+        confidence=np.where(orientation.open, probability(cosine, "sight"), orientation.confidence).astype(np.float32),
+    )
 
 
 def _decision(orientation: Orientation, asked: str, used: str, reason: str) -> Decision:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jetnormal.geometry.metrics import oriented_accuracy
+from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.methods import choose_signs, orient
 
 N = 5000
@@ -199,11 +200,12 @@ def test_each_point_can_have_a_viewpoint_of_its_own():
     result = choose_signs(points, scrambled(normals), "viewpoint", viewpoint=viewpoints)
     cosine = np.einsum("nd,nd->n", result.normals, viewpoints - points)
     known = np.isfinite(cosine)
-    clear = known & (result.confidence > 0.25)
+    cosine /= np.linalg.norm(viewpoints - points, axis=1)
+    clear = known & (np.abs(cosine) > 0.25)
     assert known.sum() == N * 9 // 10 and (cosine[clear] > 0).all()
     assert (result.normals[~known, 2] > 0).all() and (result.confidence[~known] == 0).all()
-    length = np.linalg.norm(viewpoints - points, axis=1)
-    np.testing.assert_allclose(result.confidence[known], np.abs(cosine / length)[known], atol=1e-6)
+    expected = probability(np.abs(cosine[known]), "sight")
+    np.testing.assert_allclose(result.confidence[known], expected, atol=1e-6)
 
 
 def test_neighbors_settle_what_a_sight_line_grazes():

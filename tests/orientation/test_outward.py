@@ -183,8 +183,8 @@ def test_confidence_is_lower_where_the_sign_is_wrong():
     result = choose_signs(points, scrambled(normals))
     right = (result.normals * normals).sum(axis=1) > 0
     assert 0.005 < (~right).mean() < 0.3
-    assert result.confidence[right].mean() > result.confidence[~right].mean() + 0.1
-    assert (result.confidence >= 0).all() and (result.confidence <= 1).all()
+    assert result.confidence[right].mean() > result.confidence[~right].mean() + 0.02
+    assert (result.confidence >= 0.5).all() and (result.confidence <= 1).all()
 
 
 CHILD = """
@@ -225,7 +225,7 @@ def test_stray_points_change_nothing_wherever_they_are(method, distance):
         both = np.concatenate([points, strays]), scrambled(np.concatenate([normals, directions[:count]]))
         result = choose_signs(*both, method)
         assert oriented_accuracy(result.normals[:2000], normals)[0] == 1
-        assert not result.open[:2000].any() and result.confidence[:2000].mean() > 0.95
+        assert not result.open[:2000].any() and result.confidence[:2000].mean() > 0.85
 
 
 @pytest.mark.parametrize("distance", [2.5, 100.0, 1e6])

@@ -12,6 +12,7 @@ from jetnormal.errors import InputError, UsageError
 from jetnormal.geometry.metrics import oriented_accuracy
 from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.options import EstimateOptions
+from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.grazing import GRAZING
 from jetnormal.orientation.policy import find_sensors, orient, settle
 from jetnormal.orientation.terrain import is_terrain
@@ -64,7 +65,8 @@ def test_attributes_tell_each_point_its_viewpoint(tmp_path):
     assert summary["orient"]["used"] == "viewpoint" and (cosine[known] > 0.9).all()
     unknown = ~known & np.isfinite(points[:, 0])
     assert (result.normals[unknown, 2] >= 0).all()
-    np.testing.assert_allclose(result.attributes["sign_confidence"][known], cosine[known], atol=1e-3)
+    expected = probability(cosine[known], "sight")
+    np.testing.assert_allclose(result.attributes["sign_confidence"][known], expected, atol=1e-3)
     assert any(f"{unknown.sum()} points have no finite viewpoint" in text for text in summary["warnings"])
 
 
