@@ -197,8 +197,8 @@ def _fitting_depth(points: NDArray[np.float64], scale: float, is_frame: bool) ->
     """The depth at which the cells are no larger than the points, in a box of longest side 1, are apart.
 
     Where the points are noisier than that is fine, the cells are as large as four times the noise: smaller ones would
-    show the layers and bumps of a depth camera as scales. In a frame of such a camera noise grows with the distance, and
-    that of the farther surfaces counts.
+    show the layers and bumps of a depth camera as scales. In a frame of such a camera noise grows with the distance,
+    and that of the farther surfaces counts.
     """
     from jetnormal.meshing.cleanup import noise, typical_spacing
 
