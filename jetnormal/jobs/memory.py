@@ -22,7 +22,9 @@ IN_TILE = 1000  # bytes of a point of a tile and its halo, at the peak
 THINNED = 1_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
 LINE = 25  # bytes of a point in a text file, at least
-ON_DISK = 70  # bytes of a point in its tile, with what is found of it
+ON_DISK = 65  # bytes of a point in its tile, with what is found of it
+SENSOR = 24  # bytes of the position from which a point was seen
+NEW = 12  # bytes of a point that the output has more than the input, at least
 
 
 def machine_memory() -> int:
@@ -98,13 +100,18 @@ def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions) -> Roo
     return room
 
 
-def check_disk(folder: Path, stream: CloudStream, source: Path) -> None:
+def check_disk(folder: Path, stream: CloudStream, source: Path, *, each_has_sensor: bool) -> None:
     """Find out before the work whether the tiles and the output fit on the disk.
+
+    Args:
+        folder: where both go.
+        stream, source: the input.
+        each_has_sensor: whether a tile holds from where each of its points was seen.
 
     Raises:
         InputError: they do not.
     """
-    needed = stream.points * (ON_DISK + 12) + source.stat().st_size
+    needed = stream.points * (ON_DISK + NEW + SENSOR * each_has_sensor) + source.stat().st_size
     free = shutil.disk_usage(folder).free
     if needed > free:
         raise InputError(

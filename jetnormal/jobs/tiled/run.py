@@ -22,7 +22,7 @@ from jetnormal.jobs.tiled.plan import Plan, distribute
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.jobs.tiled.thinning import settle_signs
 from jetnormal.jobs.tiled.work import FIND, SIGN, estimator_for, run_task, signs_are_local
-from jetnormal.orientation.policy import Decision
+from jetnormal.orientation.policy import Decision, find_sensors
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb, progress
 
 JOB, ROOM = "job", "room"
@@ -62,9 +62,11 @@ def estimate_in_tiles(
     with timer.stage("read"):
         form = formats.format_for(source, files.format)
         stream = formats.open_stream(source, format=form, columns=files.columns, decimal=files.decimal)
+    sensors = find_sensors(options, next(stream.pieces(1)))
     folder = target.with_name(f"{target.name}.tiles")
     if not resume:
-        check_disk(folder.parent, stream, source)
+        each_has_sensor = sensors is not None and sensors.places.ndim == 2
+        check_disk(folder.parent, stream, source, each_has_sensor=each_has_sensor)
     store = _open_store(folder, _identity(source, options, files), resume)
     job = _Job(store, stream, source, options, cluster, timer)
     try:
