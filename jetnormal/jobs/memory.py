@@ -19,10 +19,11 @@ SHARE = 0.6  # of the machine's memory
 PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
 PER_POINT = 1750  # bytes of a cloud that is computed at once, at the peak: when the signs are chosen
 IN_TILE = 1000  # bytes of a point of a tile and its halo, at the peak
-THINNED = 1_000_000  # points of the thinned cloud, at most
+THINNED = 4_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
 LINE = 25  # bytes of a point in a text file, at least
 ON_DISK = 65  # bytes of a point in its tile, with what is found of it
+OF_THINNED = 56  # bytes of a point of the thinned cloud
 SENSOR = 24  # bytes of the position from which a point was seen
 NEW = 12  # bytes of a point that the output has more than the input, at least
 
@@ -111,7 +112,9 @@ def check_disk(folder: Path, stream: CloudStream, source: Path, *, each_has_sens
     Raises:
         InputError: they do not.
     """
-    needed = stream.points * (ON_DISK + NEW + SENSOR * each_has_sensor) + source.stat().st_size
+    points = stream.points
+    needed = points * (ON_DISK + NEW + SENSOR * each_has_sensor) + min(points, THINNED) * OF_THINNED
+    needed += source.stat().st_size
     free = shutil.disk_usage(folder).free
     if needed > free:
         raise InputError(
