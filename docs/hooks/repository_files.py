@@ -7,7 +7,7 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-PATTERNS = ("CHANGELOG.md", "CONTRIBUTING.md", "models/*-*.md", "models/cloudfit.md", "models/*.png", "samples/*.png")
+PATTERNS = ("CHANGELOG.md", "CONTRIBUTING.md", "models/[!R]*.md", "models/*.png", "samples/*.png")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

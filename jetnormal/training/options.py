@@ -155,7 +155,7 @@ class CloudTraining(TrainOptions):
 
 @dataclass(frozen=True)
 class IterTraining(TrainOptions):
-    """How IterNet is trained; what made the packaged weights is the recipe `iternet`."""
+    """How IterNet is trained; the recipe `iternet` goes on from the packaged weights."""
 
     crop_points: Annotated[int, Option("Points of a crop, half of which are learned from.", low=64, flag=False)] = 1000
     crops_per_cloud: Annotated[int, Option("Crops of each cloud in an epoch.", low=1, flag=False)] = 24

@@ -55,6 +55,17 @@ def test_networks_beat_a_plane_and_a_jet(model, noise, share):
     assert error(model, noise) < share * classical
 
 
+def test_iternet_is_packaged_and_beats_a_plane():
+    rng = np.random.default_rng(SEEDS[0])
+    points, normals = random_solid(rng).sample(8000, rng)
+    queries = rng.choice(len(points), 500, replace=False)
+    errors = {
+        name: rmse(angles(make_estimator(name)(points, queries).normals, normals[queries]))
+        for name in ("iternet", "pca:k=65")
+    }
+    assert errors["iternet"] < 0.6 * errors["pca:k=65"]
+
+
 def test_bfloat16_products_leave_the_accuracy_alone(monkeypatch):
     errors = []
     for bfloat16 in (False, True):
