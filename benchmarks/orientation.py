@@ -1,10 +1,12 @@
-"""Signs of normals on a benchmark in PCPNet's layout: jetnormal's methods beside plain spanning trees and Open3D's.
+"""Signs of normals, with default options, by jetnormal's methods beside plain spanning trees and Open3D's.
 
-    python benchmarks/orientation.py FOLDER [--list LIST] [--model deepfit-small --model jet:k=60 --model true ...]
+    python benchmarks/orientation.py [FOLDER [--list LIST]] [--model deepfit-small --model jet:k=60 --model true ...]
 
-All points of all clouds count. For each model ("true": the true normals, with random signs) and method, a table by
-category: the share of outward normals as they come; the share after turning the whole cloud if that is better; the
-oriented RMSE, in degrees; and the seconds that the signs took. Each cloud and method runs in a process of its own,
+All points of all clouds count that lie on a surface: of those of a folder in PCPNet's layout, or, without one, of
+clouds that are made here (`made_clouds`), from solids with noise to scans, terrain, stray points and a million points.
+For each model ("true": the true normals, with random signs), a table with a row for each category and a column for each
+method: the share of right normals as they come, and after turning the whole cloud where that is better by more than
+half a percent; and the seconds that the signs took. Open3D's, which may crash or not end, runs in a process of its own,
 which is ended after --limit seconds; a category with such a cloud has no numbers.
 
 A run that was interrupted goes on with the same --results.
@@ -18,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +28,67 @@ import numpy as np
 
 from jetnormal.formats.pcpnet import categorize, cloud_names, read_cloud
 
-METHODS = ["global", "mst", "plain", "open3d"]
+METHODS = ["auto", "global", "mst", "plain", "open3d"]
 Row = dict[str, Any]  # model, cloud, category, method and result: what measure() returns, or None
 NEIGHBORS = 12  # of a plain spanning tree, and of Open3D's
+POINTS = 20_000  # of a cloud made here
+SOLIDS, SCENES = 4, 3
+STRAYS = 0.01  # of the points
+FAR = 1e6  # diameters
+OBJECTS = 30
+SEED = 5
+Cloud = tuple[np.ndarray, np.ndarray, np.ndarray]  # points (N, 3), true normals (N, 3), and which are on a surface (N,)
+
+
+def made_clouds() -> Iterator[tuple[str, str, Cloud]]:
+    """Make clouds with known normals, each with its name and category."""
+    from jetnormal.data.benchmark_shapes import procedural_scene_shapes, solid_shapes
+    from jetnormal.data.corruption import NOISE_LEVELS, add_noise
+    from jetnormal.data.solids.recipes import random_solid
+
+    rng = np.random.default_rng(SEED)
+    for scans in (False, True):
+        for shape in solid_shapes(SOLIDS, scans):
+            for cloud in shape.draw(POINTS, rng):
+                labeled = np.ones(len(cloud.points), bool) if cloud.labeled is None else cloud.labeled
+                category = f"scan: {cloud.category}" if scans else cloud.category
+                yield cloud.name, category, (cloud.points, cloud.normals, labeled)
+    for shape in procedural_scene_shapes(3 * SCENES, scans=True)[2::3]:  # rooms, streets and country take turns
+        cloud = next(cloud for cloud in shape.draw(POINTS, rng) if cloud.name.endswith("airborne"))
+        labeled = np.ones(len(cloud.points), bool) if cloud.labeled is None else cloud.labeled
+        yield cloud.name, "airborne terrain", (cloud.points, cloud.normals, labeled)
+    for number in range(SOLIDS):
+        yield f"strays_{number}", "stray points", _with_strays(*random_solid(rng).sample(POINTS, rng), rng)
+    yield "objects", "separate objects", _far_apart(rng)
+    points, normals = random_solid(rng).sample(1_000_000, rng)
+    yield (
+        "million",
+        "a million, medium noise",
+        (add_noise(points, NOISE_LEVELS["medium"], rng), normals, np.ones(len(points), bool)),
+    )
+
+
+def _with_strays(points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> Cloud:
+    """Points, and some more at all distances up to FAR, in random directions."""
+    count = round(STRAYS * len(points))
+    directions = rng.normal(size=(2, count, 3))
+    away, random = directions / np.linalg.norm(directions, axis=2, keepdims=True)
+    strays = away * np.linalg.norm(np.ptp(points, axis=0)) * FAR ** rng.uniform(size=(count, 1))
+    on_surface = np.arange(len(points) + count) < len(points)
+    return np.concatenate([points, strays]), np.concatenate([normals, random]), on_surface
+
+
+def _far_apart(rng: np.random.Generator) -> Cloud:
+    """Solids of all sizes, up to FAR apart."""
+    from jetnormal.data.solids.recipes import random_solid
+
+    parts = []
+    for _ in range(OBJECTS):
+        points, normals = random_solid(rng).sample(POINTS // 10, rng)
+        place = rng.normal(size=3) * 10 * FAR ** rng.uniform()
+        parts.append((points * 10 ** rng.uniform(-1, 0) + place, normals))
+    points, normals = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return points, normals, np.ones(len(points), dtype=bool)
 
 
 def plain_tree(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -66,8 +127,8 @@ def open3d_plane(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 def measure(method: str, file: Path) -> dict[str, float]:
     """Chooses signs in this process, after a small cloud that pays for the imports."""
-    from jetnormal.geometry.metrics import angles, oriented_accuracy, rmse
-    from jetnormal.orientation.methods import orient
+    from jetnormal.geometry.metrics import oriented_accuracy
+    from jetnormal.orientation.policy import orient
 
     def run(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         if method == "plain":
@@ -79,13 +140,15 @@ def measure(method: str, file: Path) -> dict[str, float]:
     start = time.perf_counter()
     normals = run(data["points"], data["normals"])
     seconds = time.perf_counter() - start
-    share, better = oriented_accuracy(normals, data["true"])
-    error = rmse(angles(normals, data["true"], oriented=True))
-    return {"outward": share, "better": better, "rmse": error, "seconds": seconds}
+    labeled = data["labeled"]
+    share, better = oriented_accuracy(normals[labeled], data["true"][labeled])
+    return {"right": share, "better": better, "seconds": seconds}
 
 
 def attempt(method: str, file: Path, limit: float) -> dict[str, float] | None:
-    """Measures in a child process; None if that crashes or takes too long."""
+    """Measures Open3D in a child process; None if that crashes or takes too long."""
+    if method != "open3d":
+        return measure(method, file)
     command = [sys.executable, __file__, str(file), "--one", method]
     try:
         output = subprocess.run(command, check=True, capture_output=True, text=True, timeout=limit).stdout
@@ -101,31 +164,40 @@ def scrambled(normals: np.ndarray) -> np.ndarray:
 
 
 def print_table(model: str, rows: list[Row]) -> None:
-    categories = list(dict.fromkeys(row["category"] for row in rows))
-    print(f"\n{model}: outward %, % after the better flip, oriented RMSE, seconds\n")
-    print("| method | " + " | ".join(categories) + " |\n|---|" + "---|" * len(categories))
-    for method in dict.fromkeys(row["method"] for row in rows):
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    print(f"\n{model}: right signs in % (after the better flip of the whole cloud, where that differs), seconds\n")
+    print("| clouds | " + " | ".join(methods) + " |\n|---|" + "---|" * len(methods))
+    for category in dict.fromkeys(row["category"] for row in rows):
         cells = []
-        for category in categories:
+        for method in methods:
             results = [row["result"] for row in rows if row["method"] == method and row["category"] == category]
             done = [result for result in results if result is not None]
+            if not results:
+                cells.append("")
+                continue
             if len(done) < len(results):
                 cells.append(f"{len(done)} of {len(results)} finished")
                 continue
-            mean = {key: np.mean([result[key] for result in done]) for key in done[0]}
-            cells.append(
-                f"{100 * mean['outward']:.2f}, {100 * mean['better']:.2f}, {mean['rmse']:.1f}°, {mean['seconds']:.2f} s"
-            )
-        print(f"| {method} | " + " | ".join(cells) + " |", flush=True)
+            mean = {key: 100 * np.mean([result[key] for result in done]) for key in done[0]}
+            flipped = f" ({mean['better']:.2f})" if mean["better"] > mean["right"] + 0.5 else ""
+            cells.append(f"{mean['right']:.2f}{flipped}, {mean['seconds'] / 100:.2f} s")
+        print(f"| {category} | " + " | ".join(cells) + " |", flush=True)
+
+
+def folder_clouds(folder: Path, list_file: str | None) -> Iterator[tuple[str, str, Cloud]]:
+    """The clouds of a folder in PCPNet's layout, each with its name and category."""
+    for name, category in categorize(folder, cloud_names(folder, list_file)).items():
+        points, normals, _ = read_cloud(folder, name)
+        yield name, category, (points, normals, np.isfinite(normals.sum(axis=1)))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--list", help="file in the folder that names clouds; without it, all")
     parser.add_argument("--model", action="append", help="repeatable; default: the default model")
     parser.add_argument("--method", action="append", choices=METHODS, help="repeatable; default: all")
-    parser.add_argument("--limit", type=float, default=120.0, help="seconds per cloud and method")
+    parser.add_argument("--limit", type=float, default=60.0, help="seconds per cloud and method")
     parser.add_argument("--results", type=Path, help="JSON lines, one per model, cloud and method; existing ones count")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # what the child processes are asked for
     arguments = parser.parse_args()
@@ -135,7 +207,6 @@ def main() -> None:
     from jetnormal.estimators.factory import make_estimator
     from jetnormal.jobs.options import DEFAULT_MODEL
 
-    clouds = categorize(arguments.folder, cloud_names(arguments.folder, arguments.list))
     methods = arguments.method or METHODS
     known: list[Row] = []
     if arguments.results and arguments.results.is_file():
@@ -143,20 +214,20 @@ def main() -> None:
     for model in arguments.model or [DEFAULT_MODEL]:
         estimator = None if model == "true" else make_estimator(model)
         rows = []
-        for cloud, category in clouds.items():
-            mine = [row for row in known if (row["model"], row["cloud"]) == (model, cloud) and row["method"] in methods]
+        clouds = folder_clouds(arguments.folder, arguments.list) if arguments.folder else made_clouds()
+        for name, category, (points, true, labeled) in clouds:
+            mine = [row for row in known if (row["model"], row["cloud"]) == (model, name) and row["method"] in methods]
             rows += mine
             missing = [method for method in methods if method not in [row["method"] for row in mine]]
             if not missing:
                 continue
-            points, true, _ = read_cloud(arguments.folder, cloud)
             normals = scrambled(true if estimator is None else estimator(points).normals)
             with tempfile.TemporaryDirectory() as folder:
-                file = Path(folder) / f"{cloud}.npz"
-                np.savez(file, points=points, normals=normals, true=true)
+                file = Path(folder) / f"{name}.npz"
+                np.savez(file, points=points, normals=normals, true=true, labeled=labeled)
                 for method in missing:
                     result = attempt(method, file, arguments.limit)
-                    row = {"model": model, "cloud": cloud, "category": category, "method": method, "result": result}
+                    row = {"model": model, "cloud": name, "category": category, "method": method, "result": result}
                     rows.append(row)
                     if arguments.results:
                         with arguments.results.open("a") as stream:
