@@ -473,4 +473,6 @@ def _field(e57: Any, name: str, values: NDArray[Any], known: Any) -> Any:
     return ("FloatNode", 0.0, e57.E57_SINGLE if values.dtype == np.float32 else e57.E57_DOUBLE)
 
 
-FORMATS = (Format("e57", (".e57",), read, write, ENCODINGS, keeps_viewpoint=True, stream=stream),)
+FORMATS = (
+    Format("e57", (".e57",), read, write, ENCODINGS, keeps_viewpoint=True, stream=stream, stream_reads_all=True),
+)

@@ -102,4 +102,4 @@ def _read_grid(stream: BinaryIO, width: int, height: int, path: Path, line: int)
     return columns | {"row": index % max(height, 1), "column": index // max(height, 1)}
 
 
-FORMATS = (Format("ptx", (".ptx",), read, None, ("ascii",), stream=stream),)
+FORMATS = (Format("ptx", (".ptx",), read, None, ("ascii",), stream=stream, stream_reads_all=True),)

@@ -48,6 +48,7 @@ class Format:
         stream: opens a file to be read in pieces, with the arguments of `read`; None if that cannot be done.
         write_rows: first piece of a cloud, rows in all, their box (2, 3), stream, encoding -> what appends pieces, the
             first included; None if that cannot be done. It raises `InputError` for an encoding that needs all at once.
+        stream_reads_all: whether `stream` has to look at the whole file before the first piece.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Format:
     has_columns: bool = False
     stream: Callable[..., CloudStream] | None = None
     write_rows: Callable[[Cloud, int, NDArray[np.float64], BinaryIO, str], RowWriter] | None = None
+    stream_reads_all: bool = False
 
 
 CONVERSIONS = {

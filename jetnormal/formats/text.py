@@ -391,7 +391,17 @@ def _encode(line: str) -> bytes:
 def _format(suffix: str) -> Format:
     functions: tuple[Callable[..., Any], ...] = (read, write, stream, write_rows)
     reads, writes, streams, appends = (partial(function, suffix=suffix) for function in functions)
-    return Format("xyz", (suffix,), reads, writes, ENCODINGS, has_columns=True, stream=streams, write_rows=appends)
+    return Format(
+        "xyz",
+        (suffix,),
+        reads,
+        writes,
+        ENCODINGS,
+        has_columns=True,
+        stream=streams,
+        write_rows=appends,
+        stream_reads_all=True,
+    )
 
 
 FORMATS = tuple(_format(suffix) for suffix in (".xyz", ".xyzn", ".txt", ".asc", ".csv", ".pts"))

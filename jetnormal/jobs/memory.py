@@ -21,7 +21,7 @@ PER_POINT = 1750  # bytes of a cloud that is computed at once, at the peak: when
 IN_TILE = 1000  # bytes of a point of a tile and its halo, at the peak
 THINNED = 4_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
-LINE = 25  # bytes of a point in a text file, at least
+BINARY = 16  # bytes of a point in a file that is not text: three float32 and some more
 ON_DISK = 65  # bytes of a point in its tile, with what is found of it
 OF_THINNED = 56  # bytes of a point of the thinned cloud
 SENSOR = 24  # bytes of the position from which a point was seen
@@ -46,20 +46,31 @@ def _text(path: Path) -> str:
         return ""
 
 
-def at_once(path: Path, files: ReadOptions) -> int:
-    """Estimate the bytes that a cloud takes which is computed at once, without reading it."""
+def at_once(path: Path, files: ReadOptions, limit: int) -> int:
+    """Estimate the bytes that a cloud takes which is computed at once, without reading it.
+
+    The size of the file is looked at first, and its header only if it is compressed, or the size is beyond the limit.
+    """
     known = formats.find_format(path, formats.format_for(path, files.format))
     try:
-        size = path.stat().st_size
+        rough = PROGRAM + path.stat().st_size // _bytes_of_a_point(path) * PER_POINT
+        if known.stream is None or known.stream_reads_all or (known.name != "las" and rough <= limit):
+            return rough
     except OSError:
-        return 0  # reading it will tell what is wrong
-    if known.stream is not None and known.name != "xyz":
-        try:
-            stream = known.stream(path)
-        except InputError:  # what is wrong, or not in pieces, reading tells
-            return PROGRAM + size // LINE * PER_POINT
-        return PROGRAM + stream.points * (PER_POINT + 2 * stream.bytes_per_point)
-    return PROGRAM + size // LINE * PER_POINT
+        return 0  # reading it tells what is wrong
+    try:
+        stream = known.stream(path)
+    except (OSError, InputError):  # damaged, or not read in pieces
+        return rough
+    return PROGRAM + stream.points * (PER_POINT + 2 * stream.bytes_per_point)
+
+
+def _bytes_of_a_point(path: Path) -> int:
+    """Bytes of a row of a file of text, judged by some of its lines; the usual number for other files."""
+    with path.open("rb") as stream:
+        head = stream.read(1 << 16)
+    lines = head.count(b"\n")
+    return BINARY if b"\0" in head or not lines else max(BINARY, len(head) // lines)
 
 
 @dataclass(frozen=True)
@@ -83,7 +94,7 @@ def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions) -> Roo
         ResourceError: the memory is too little for any tile.
     """
     limit = large.max_memory or round(SHARE * machine_memory())
-    needed = at_once(source, files)
+    needed = at_once(source, files, limit)
     if needed <= limit and not large.resume and large.cluster is None:
         return None
     known = formats.find_format(source, formats.format_for(source, files.format))

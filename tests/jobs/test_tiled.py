@@ -159,3 +159,11 @@ def test_a_cloud_beyond_the_memory_goes_in_tiles(tmp_path, monkeypatch):
         estimate_file(tmp_path / "a.npz", tmp_path / "d.ply", JET)
     large = LargeOptions(max_memory=100_000_000)
     assert "tiles" not in estimate_file(tmp_path / "a.ply", tmp_path / "c.ply", JET, large=large)
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.xyz", "a.npz", "a.pcd"])
+def test_memory_is_estimated_without_reading(tmp_path, name):
+    """By the header, or the size and the first lines: right within a factor of two."""
+    write(sphere_cloud(), tmp_path / name)
+    needed = memory.at_once(tmp_path / name, FileOptions(), limit=0) - memory.PROGRAM
+    assert 0.8 < needed / (5000 * memory.PER_POINT) < 2.5
