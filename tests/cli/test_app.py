@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import jetnormal
 from jetnormal import errors
 from jetnormal.cli.app import app, main
-from jetnormal.jobs.options import EstimateOptions, FileOptions
+from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions
 
 COMMANDS = sorted(get_command(app).commands)
 SUMMARY = {
@@ -39,8 +39,8 @@ def estimation(monkeypatch):
     module.result = SUMMARY
     module.calls = []
 
-    def estimate_file(input, output, options, **file):
-        module.calls.append((input, output, options, file))
+    def estimate_file(input, output, options, files, large, *, overwrite):
+        module.calls.append((input, output, options, files, large, overwrite))
         if isinstance(module.result, BaseException):
             raise module.result
         return module.result
@@ -197,11 +197,13 @@ def test_wrong_usage_exits_2(arguments, estimation, monkeypatch, capsys):
 def test_estimate_hands_over_its_options(estimation, monkeypatch):
     arguments = "estimate in.ply -o out.pcd --model jet --k 32 --order 2 --iterations 3 --orient viewpoint"
     arguments += " --viewpoint -1,2.5,3e2 --curvature --confidence --batch-size 64 --device cpu --threads 2"
-    arguments += " --encoding ascii --force"
+    arguments += " --encoding ascii --force --max-memory 2GB --resume"
     assert run(monkeypatch, *arguments.split()) == 0
-    ((source, target, options, file),) = estimation.calls
+    ((source, target, options, files, large, overwrite),) = estimation.calls
     assert (str(source), str(target)) == ("in.ply", "out.pcd")
-    assert file == {"files": FileOptions(encoding="ascii"), "overwrite": True}
+    assert files == FileOptions(encoding="ascii")
+    assert large == LargeOptions(max_memory=2 * 10**9, resume=True)
+    assert overwrite
     assert options == EstimateOptions(
         "jet",
         k=32,
