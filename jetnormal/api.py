@@ -25,7 +25,7 @@ from jetnormal.errors import JetnormalWarning, UsageError
 from jetnormal.evaluation.options import EvaluateOptions
 from jetnormal.jobs.estimate import Result, find_normals, with_normals
 from jetnormal.jobs.options import EstimateOptions, NormalOptions, ReconstructOptions
-from jetnormal.jobs.prediction import prepare_estimator
+from jetnormal.jobs.prediction import kept_estimator, prepare_estimator
 from jetnormal.mesh import Mesh
 from jetnormal.support.options import Option, Vector, fields
 from jetnormal.support.report import StageTimer
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 Path_ = str | PathLike[str]
 P = ParamSpec("P")
 R = TypeVar("R")
-KEPT_MODELS = 4  # by `estimate`, in memory
 
 
 A = TypeVar("A")
@@ -197,7 +196,7 @@ def estimate(points: Any, options: EstimateOptions) -> Any:
     for name in ("curvature", "confidence", "sign_confidence"):
         if plain and getattr(options, name):
             raise UsageError(f"`{name}` is an attribute of a cloud: pass a Cloud, or take the Result of an Estimator")
-    result = find_normals(cloud, options, _loaded(options), StageTimer())
+    result = find_normals(cloud, options, kept_estimator(options), StageTimer())
     finished, replaced = with_normals(cloud, result, options)
     _warn([*cloud.source.notes, *result.warnings, *replaced])
     if plain:
@@ -289,18 +288,3 @@ def _rows_of(points: Any, cloud: Cloud) -> tuple[int, ...]:
 def _plain(options: NormalOptions, kind: type[NormalOptions]) -> NormalOptions:
     """The options alone, of something that has more."""
     return kind(**{field.name: getattr(options, field.name) for field in fields(kind)})
-
-
-def _loaded(options: EstimateOptions) -> Any:
-    """The estimator for some options, the one of an earlier call where its model file has not changed since."""
-    from jetnormal.estimators.factory import model_file
-
-    file = model_file(options.model_name)
-    stamp = None if file is None else (str(file), file.stat().st_mtime_ns, file.stat().st_size)
-    signs = {"orient": "auto", "viewpoint": None, "viewpoint_attribute": None}
-    return _kept(replace(options, confidence=False, sign_confidence=False, **signs), stamp)  # type: ignore[arg-type]
-
-
-@functools.lru_cache(maxsize=KEPT_MODELS)
-def _kept(options: EstimateOptions, stamp: tuple[str, int, int] | None) -> Any:
-    return prepare_estimator(options)

@@ -16,6 +16,7 @@ from jetnormal import Cloud, EstimateOptions, Estimator, JetnormalWarning, Mesh,
 from jetnormal.errors import InputError, UsageError
 from jetnormal.estimators import factory
 from jetnormal.geometry.metrics import angles
+from jetnormal.jobs import prediction
 from jetnormal.jobs.options import NormalOptions
 from jetnormal.support.open3d_loader import import_open3d
 
@@ -42,8 +43,9 @@ def test_an_estimator_gives_all_there_is_to_know():
 def counted(monkeypatch) -> list[NormalOptions]:
     """A list that grows with every model that is loaded."""
     loads = []
-    prepare = api.prepare_estimator
-    monkeypatch.setattr(api, "prepare_estimator", lambda options: loads.append(options) or prepare(options))
+    prepare = prediction.prepare_estimator
+    for module in (api, prediction):
+        monkeypatch.setattr(module, "prepare_estimator", lambda options: loads.append(options) or prepare(options))
     return loads
 
 
@@ -70,7 +72,7 @@ def test_a_model_is_a_name_or_a_path_and_no_network(tmp_path):
 
 def test_estimate_keeps_its_model_until_the_file_changes(monkeypatch, tmp_path):
     loads = counted(monkeypatch)
-    api._kept.cache_clear()
+    prediction._kept.cache_clear()
     path = tmp_path / "own.safetensors"
     path.write_bytes(factory.model_file("deepfit-small").read_bytes())
     few = sphere(80)

@@ -43,9 +43,7 @@ def read(path: Path, *, columns: str | None = None, decimal: str | None = None) 
         InputError: the file is damaged, or holds no points.
         UsageError: `columns` do not fit the file.
     """
-    if decimal is not None:
-        raise UsageError(f"{path}: `decimal` is for text files")
-    layout = Layout.parse(columns)
+    layout = _layout(columns, decimal, path)
     arrays = load_all(path)
     lower = {name.lower(): name for name in reversed(list(arrays))}
     if all(name in lower for name in COORDINATES):
@@ -69,6 +67,12 @@ def read(path: Path, *, columns: str | None = None, decimal: str | None = None) 
     return cloud_from_columns(found | rest, source, path)
 
 
+def _layout(columns: str | None, decimal: str | None, path: Path) -> Layout:
+    if decimal is not None:
+        raise UsageError(f"{path}: `decimal` is for text files")
+    return Layout.parse(columns)
+
+
 def stream(path: Path, *, columns: str | None = None, decimal: str | None = None) -> CloudStream:
     """Open an .npy file to be read in pieces.
 
@@ -76,9 +80,7 @@ def stream(path: Path, *, columns: str | None = None, decimal: str | None = None
         InputError: the file is damaged, or holds no points.
         UsageError: `columns` do not fit the file.
     """
-    if decimal is not None:
-        raise UsageError(f"{path}: `decimal` is for text files")
-    layout = Layout.parse(columns)
+    layout = _layout(columns, decimal, path)
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except ValueError as error:

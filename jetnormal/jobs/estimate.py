@@ -222,7 +222,10 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         return full
 
     normals = spread(orientation.normals.astype(np.float64))
-    curvatures = turned_curvatures(prediction, orientation.normals)
+    curvatures = prediction.curvatures
+    if curvatures is not None:
+        turned = (orientation.normals * prediction.normals).sum(axis=1) < 0
+        curvatures = turned_curvatures(curvatures, turned)
     warnings += gaps(len(cloud) - len(rows), len(rows) - int(np.isfinite(normals).all(axis=1).sum()))
     return Result(
         normals,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from jetnormal.jobs.options import EstimateOptions, NormalOptions
 from jetnormal.support.report import Advance
 
 FEW_NEIGHBORS = 10  # of a jet for a cloud too small for a network: a sphere of 45 points has 2.7 degrees, with 45 39
+KEPT_MODELS = 4  # in memory
 
 
 def prepare_estimator(options: NormalOptions) -> Estimator:
@@ -29,6 +31,21 @@ def prepare_estimator(options: NormalOptions) -> Estimator:
     if isinstance(options, EstimateOptions) and options.curvature and not estimator.has_curvature:
         raise UsageError(f"{estimator.name} has no curvature: leave out `curvature`, or choose a network or jet")
     return estimator
+
+
+def kept_estimator(options: EstimateOptions) -> Estimator:
+    """`prepare_estimator`, or what it made before of such options, if the model file has not changed since."""
+    from jetnormal.estimators.factory import model_file
+
+    file = model_file(options.model_name)
+    stamp = None if file is None else (str(file), file.stat().st_mtime_ns, file.stat().st_size)
+    signs = {"orient": "auto", "viewpoint": None, "viewpoint_attribute": None}
+    return _kept(replace(options, confidence=False, sign_confidence=False, **signs), stamp)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=KEPT_MODELS)
+def _kept(options: EstimateOptions, stamp: tuple[str, int, int] | None) -> Estimator:
+    return prepare_estimator(options)
 
 
 def _resources(options: NormalOptions) -> dict[str, Any]:
@@ -104,11 +121,6 @@ def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tupl
     return estimator, [f"{count} points are fewer than a patch of {estimator.neighbors}: each patch has all of them"]
 
 
-def turned_curvatures(prediction: Prediction, normals: NDArray[Any]) -> NDArray[np.float32] | None:
-    """Principal curvatures (N, 2), the larger first, by the normals (N, 3) with their final signs."""
-    curvatures = prediction.curvatures
-    if curvatures is None:
-        return None
-    # a normal that was turned round sees every bend from the other side
-    turned = (normals * prediction.normals).sum(axis=1) < 0
+def turned_curvatures(curvatures: NDArray[np.float32], turned: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Principal curvatures (N, 2), the larger first: a normal that was turned (N,) sees bends from the other side."""
     return np.where(turned[:, None], -curvatures[:, ::-1], curvatures)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from shapes import sphere_cloud
 
+from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
 from jetnormal.estimators import blocks
 from jetnormal.formats import read, write
@@ -167,3 +168,13 @@ def test_memory_is_estimated_without_reading(tmp_path, name):
     write(sphere_cloud(), tmp_path / name)
     needed = memory.at_once(tmp_path / name, FileOptions(), limit=0) - memory.PROGRAM
     assert 0.8 < needed / (5000 * memory.PER_POINT) < 2.5
+
+
+def test_an_output_that_is_written_again_gets_the_signs_of_its_own_cloud(tmp_path):
+    target = tmp_path / "out.ply"
+    for name, shift in (("a.ply", 0.0), ("b.ply", 1.0)):
+        cloud = sphere_cloud()
+        write(Cloud(cloud.points + shift), tmp_path / name)
+        in_tiles(tmp_path / name, target, overwrite=True)
+        estimate_file(tmp_path / name, tmp_path / "whole.ply", JET, overwrite=True)
+        np.testing.assert_allclose(read(target).normals, read(tmp_path / "whole.ply").normals, atol=1e-6)

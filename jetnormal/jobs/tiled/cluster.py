@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ def run_on_cluster(
     """
     ray = _connected(address)
     task = ray.remote(num_cpus=options.threads or 1, max_retries=RETRIES)(run_task)
-    single = options if options.threads else _one_thread(options)
+    single = replace(options, threads=options.threads or 1)
     waiting = [task.remote(folder.resolve(), kind, tile, single) for tile in tiles]
     try:
         while waiting:
@@ -50,12 +51,6 @@ def run_on_cluster(
     finally:
         for task_left in waiting:
             ray.cancel(task_left)
-
-
-def _one_thread(options: EstimateOptions) -> EstimateOptions:
-    from dataclasses import replace
-
-    return replace(options, threads=1)
 
 
 def _connected(address: str) -> Any:

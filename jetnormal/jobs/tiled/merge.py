@@ -14,6 +14,7 @@ from jetnormal.formats import CloudStream
 from jetnormal.formats.streams import ROWS
 from jetnormal.jobs.estimate import Result, with_normals
 from jetnormal.jobs.options import EstimateOptions, FileOptions
+from jetnormal.jobs.prediction import turned_curvatures
 from jetnormal.jobs.tiled.plan import Plan
 from jetnormal.jobs.tiled.store import FOUND, SIGNED, Store
 from jetnormal.jobs.tiled.work import FIND, SIGN
@@ -86,8 +87,8 @@ class Merge:
         return found, signed
 
     def _result(self, found: NDArray[np.void], signed: NDArray[np.void]) -> Result:
-        flip = signed["flip"][:, None]
-        normals = np.where(flip, -found["normal"], found["normal"]).astype(np.float64)
-        curvatures = np.where(flip, -found["curvatures"][:, ::-1], found["curvatures"]) if self._has_curvature else None
+        flip = signed["flip"]
+        normals = np.where(flip[:, None], -found["normal"], found["normal"]).astype(np.float64)
+        curvatures = turned_curvatures(found["curvatures"], flip) if self._has_curvature else None
         model = ""  # is told of the whole cloud
         return Result(normals, found["confidence"], curvatures, signed["sure"], model, self._decision, (), {})

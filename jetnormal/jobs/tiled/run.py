@@ -16,12 +16,13 @@ from jetnormal.formats import CloudStream
 from jetnormal.jobs.estimate import gaps
 from jetnormal.jobs.memory import Room, check_disk
 from jetnormal.jobs.options import EstimateOptions, FileOptions
+from jetnormal.jobs.prediction import kept_estimator
 from jetnormal.jobs.tiled.cluster import run_on_cluster
 from jetnormal.jobs.tiled.merge import Merge
 from jetnormal.jobs.tiled.plan import Plan, distribute
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.jobs.tiled.thinning import settle_signs
-from jetnormal.jobs.tiled.work import FIND, SIGN, estimator_for, run_task, signs_are_local
+from jetnormal.jobs.tiled.work import FIND, SIGN, run_task, signs_are_local
 from jetnormal.orientation.policy import Decision, find_sensors
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb, progress
 
@@ -58,7 +59,7 @@ def estimate_in_tiles(
     timer = StageTimer()
     formats.check_pieces(target, format=formats.format_for(target, files.format))
     with timer.stage("model"):
-        estimator_for(options)  # what is wrong with the options shows before the cloud is read
+        kept_estimator(options)  # what is wrong with the options shows before the cloud is read
     with timer.stage("read"):
         form = formats.format_for(source, files.format)
         stream = formats.open_stream(source, format=form, columns=files.columns, decimal=files.decimal)

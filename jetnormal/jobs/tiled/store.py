@@ -17,15 +17,16 @@ decision.json        how they were chosen
 from __future__ import annotations
 
 import json
-import os
-import secrets
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+
+from jetnormal.formats.atomic import atomic_write
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ class Store:
 
     def save(self, kind: str, tile: int, values: NDArray[Any]) -> None:
         """Write an array of a tile."""
-        with self._fresh(f"{tile:05}.{kind}.npy") as temporary, temporary.open("wb") as stream:
+        with self._fresh(f"{tile:05}.{kind}.npy") as stream:
             np.save(stream, values, allow_pickle=False)
 
     def load(self, kind: str, tile: int) -> NDArray[Any]:
@@ -74,8 +75,8 @@ class Store:
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
         """Write what is known of all tiles, or of one."""
-        with self._fresh(f"{name}.json") as temporary:
-            temporary.write_text(json.dumps(content), encoding="utf-8")
+        with self._fresh(f"{name}.json") as stream:
+            stream.write(json.dumps(content).encode())
 
     def read_json(self, name: str) -> dict[str, Any] | None:
         """Read it; None if it is not there."""
@@ -85,36 +86,22 @@ class Store:
 
     def write_arrays(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write arrays under their names."""
-        with self._fresh(f"{name}.npz") as temporary, temporary.open("wb") as stream:
+        with self._fresh(f"{name}.npz") as stream:
             np.savez(stream, **arrays)  # type: ignore[arg-type]
 
-    def read_arrays(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """Read them; None if they are not there."""
-        path = self.folder / f"{name}.npz"
-        if not path.exists():
-            return None
-        with np.load(path, allow_pickle=False) as held:
+    def read_arrays(self, name: str) -> dict[str, NDArray[Any]]:
+        """Read arrays that are there."""
+        with np.load(self.folder / f"{name}.npz", allow_pickle=False) as held:
             return {key: held[key] for key in held.files}
+
+    def stamp(self, name: str) -> tuple[int, int]:
+        """Tell the arrays of a name from those that another run wrote there: their time and size."""
+        state = (self.folder / f"{name}.npz").stat()
+        return state.st_mtime_ns, state.st_size
 
     def _path(self, tile: int, kind: str) -> Path:
         return self.folder / f"{tile:05}.{kind}"
 
-    def _fresh(self, name: str) -> _Fresh:
-        return _Fresh(self.folder / name)
-
-
-class _Fresh:
-    """A temporary file that takes its name when the block ends; two workers may write the same at a time."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
-
-    def __enter__(self) -> Path:
-        return self._temporary
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self._temporary.replace(self._path)
-        else:
-            self._temporary.unlink(missing_ok=True)
+    def _fresh(self, name: str) -> AbstractContextManager[BinaryIO]:
+        """A file that takes its name when it is complete; two workers may write the same at a time."""
+        return atomic_write(self.folder / name, overwrite=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from jetnormal.estimators.blocks import HALO, halo_width, with_halo
 from jetnormal.geometry.neighbors import NeighborIndex, distinct, spatial_order
 from jetnormal.jobs import memory
 from jetnormal.jobs.options import EstimateOptions
-from jetnormal.jobs.prediction import predict, prepare_estimator
+from jetnormal.jobs.prediction import kept_estimator, predict
 from jetnormal.jobs.tiled.plan import Plan
 from jetnormal.jobs.tiled.store import FOUND, SIGNED, Store
 from jetnormal.orientation.carrying import Thinned, carry_signs
@@ -26,7 +26,6 @@ Floats = NDArray[np.float64]
 SIGN_HALO = 6.0  # width, in root mean square distances of the 16 neighbors, of what is seen for signs
 CANDIDATES = 50_000  # points of a tile, at least, that may go into the thinned cloud
 SPACING_NEIGHBORS = 8
-
 SAMPLED = 20_000  # points that tell how far apart the points of a tile are
 
 THINNED = "thinned"
@@ -41,24 +40,20 @@ def run_task(folder: Path, kind: str, tile: int, options: EstimateOptions) -> in
     assert plan is not None
     if not store.has(kind, tile):
         if kind == FIND:
-            find_directions(store, plan, tile, options, estimator_for(options))
+            find_directions(store, plan, tile, options, kept_estimator(options))
         else:
             find_signs(store, plan, tile, options)
     return plan.counts[tile]
 
 
-@cache
 def _thinned(folder: Path) -> Thinned:
-    """The thinned cloud, once for all tiles of a process."""
-    arrays = Store(folder).read_arrays(THINNED)
-    assert arrays is not None
-    return Thinned(**arrays)
+    """The thinned cloud, read once for all tiles of a process."""
+    return _read_thinned(folder, Store(folder).stamp(THINNED))
 
 
-@cache
-def estimator_for(options: EstimateOptions) -> Estimator:
-    """One model for all tiles of a process."""
-    return prepare_estimator(options)
+@lru_cache(maxsize=1)
+def _read_thinned(folder: Path, stamp: tuple[int, int]) -> Thinned:
+    return Thinned(**Store(folder).read_arrays(THINNED))
 
 
 def find_directions(store: Store, plan: Plan, tile: int, options: EstimateOptions, estimator: Estimator) -> None:
