@@ -17,7 +17,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from jetnormal.formats.columns import (
     cloud_from_columns,
     columns_from_cloud,
 )
+from jetnormal.formats.las_records import LASZIP, Record, check_chunks, check_size, laszip_record, read_records
 from jetnormal.formats.registry import Format, library, library_errors
 from jetnormal.formats.storage import COLORS, to_storable
 from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, memory_of
@@ -44,13 +45,6 @@ _COMPRESSED_CHUNK = 50_000  # points
 _TYPES = {"u1": 1, "i1": 2, "u2": 3, "i2": 4, "u4": 5, "i4": 6, "u8": 7, "i8": 8, "f4": 9, "f8": 10}
 """The codes of the types of extra dimensions."""
 _EXTRA_BYTES = ("LASF_Spec", 4)
-_LASZIP = ("laszip encoded", 22204)
-_LASZIP_HEAD = struct.Struct("<H30xH")
-"""The compressor and the number of items in the record; the items follow, each with its kind, size and version."""
-_LAYERED = 3
-_ITEMS = {10: (30, 9), 11: (6, 1), 12: (8, 2), 13: (29, 1)}
-"""Size and number of layers of the items by kind: the point itself, colors, colors with infrared, a wave packet."""
-_EXTRA_BYTES_ITEM = 14  # a layer for each byte
 _WAVEFORMS = ("LASF_Spec", 65535)
 _WITHOUT_WAVES = {9: 6, 10: 8}
 """The point formats whose wave packets lazrs reads and writes wrongly (0.8.2), and the same ones without packets."""
@@ -58,15 +52,6 @@ _WAVES = ("wavepacket_index", "wavepacket_offset", "wavepacket_size", "return_po
 _LONGEST_NAME = 32
 _LARGEST = 2**31 - 1
 _FINEST_SCALE = 12  # decimals
-
-
-class Record(NamedTuple):
-    """A variable length record (VLR, EVLR)."""
-
-    user: str
-    number: int
-    description: str
-    data: bytes
 
 
 @dataclass(frozen=True)
@@ -134,14 +119,14 @@ def _opened(path: Path) -> Iterator[tuple[Any, Source]]:
             raise InputError(f"{path}: does not begin with 'LASF'; is this a LAS file?")
         laspy = _laspy(path)
         with library_errors(path, "laspy"):
-            records, late = _read_records(stream, path)
+            records, late = read_records(stream, path)
             stream.seek(0)
             # The parallel decompressor trusts all sizes in a file, and ends the process where memory lacks for them.
             backend = laspy.LazBackend.Lazrs
             with laspy.open(stream, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
-                _check_size(reader.header, path)
+                check_size(reader.header, path)
                 if reader.header.are_points_compressed:
-                    _check_chunks(stream, reader.header, _laszip_record(records, path), path)
+                    check_chunks(stream, reader.header, laszip_record(records, path), path)
                 yield reader, _source(reader.header, records, late, path)
 
 
@@ -152,7 +137,7 @@ def _source(original: Any, records: tuple[Record, ...], late: tuple[Record, ...]
     names = canonical_names((*COORDINATES, *header.point_format.dimension_names), path)
     extra = LasExtra(
         header,
-        tuple(record for record in records if (record.user, record.number) != _LASZIP),
+        tuple(record for record in records if (record.user, record.number) != LASZIP),
         late,
         {canonical: name for name, canonical in names.items() if canonical in NORMALS},
         copc=any(record.user == "copc" for record in records),
@@ -169,97 +154,6 @@ def _laspy(path: Path | str) -> Any:
     library("lazrs", "las", path)
     logging.getLogger("laspy").setLevel(logging.CRITICAL)  # it logs what it then raises
     return library("laspy", "las", path)
-
-
-def _read_records(stream: BinaryIO, path: Path) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
-    """The records as bytes: laspy interprets some of them, and writes these differently."""
-    stream.seek(0)
-    head = stream.read(375)
-    size, points, count = struct.unpack_from("<HII", head, 94)
-    if points > path.stat().st_size:
-        raise InputError(f"{path}: its points begin behind its end; the file is truncated")
-    stream.seek(size)
-    records = tuple(_read_record(stream, "<H16sHH32s", path) for _ in range(count))
-    late: tuple[Record, ...] = ()
-    if head[25] >= 4:  # the minor version
-        start, count = struct.unpack_from("<QI", head, 235)
-        stream.seek(start)
-        late = tuple(_read_record(stream, "<H16sHQ32s", path) for _ in range(count))
-    return records, late
-
-
-def _read_record(stream: BinaryIO, layout: str, path: Path) -> Record:
-    _, user, number, length, description = struct.unpack(layout, stream.read(struct.calcsize(layout)))
-    data = stream.read(min(length, path.stat().st_size))
-    if len(data) != length:
-        raise InputError(f"{path}: a record of the header is cut off; the file is truncated")
-    texts = (text.split(b"\0")[0].decode("utf-8", "surrogateescape") for text in (user, description))
-    return Record(next(texts), number, next(texts), data)
-
-
-def _check_size(header: Any, path: Path) -> None:
-    """Refuse a number of points that the file cannot hold; compressed points are counted as they are unpacked."""
-    size = path.stat().st_size - header.offset_to_point_data
-    if not header.are_points_compressed and header.point_count * header.point_format.size > size:
-        raise InputError(f"{path}: declares {header.point_count} points, more than its size allows; it is truncated")
-
-
-def _laszip_record(records: tuple[Record, ...], path: Path) -> bytes:
-    for record in records:
-        if (record.user, record.number) == _LASZIP and len(record.data) >= _LASZIP_HEAD.size:
-            return record.data
-    raise InputError(f"{path}: its points are compressed, but no record tells how; it is damaged")
-
-
-def _check_chunks(stream: BinaryIO, header: Any, laszip: bytes, path: Path) -> None:
-    """Refuse compressed chunks, or parts of them, larger than the file: the decompressor would allocate them."""
-    position, size, start = stream.tell(), path.stat().st_size, header.offset_to_point_data
-    stream.seek(start)
-    (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
-    if table == -1:  # written by what could not go back: the place stands at the end
-        stream.seek(size - 8)
-        (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
-    if not start < table <= size - 8:
-        raise InputError(f"{path}: its table of compressed chunks is not there; the file is truncated")
-    stream.seek(table)
-    _, chunks = struct.unpack("<II", stream.read(8))
-    if chunks > size:
-        raise InputError(f"{path}: declares {chunks} compressed chunks, more than its size allows; it is damaged")
-    stream.seek(table)
-    record = library("lazrs", "las", path).LazVlr(laszip)
-    found, first = 0, start + 8
-    for count, length in library("lazrs", "las", path).read_chunk_table_only(stream, record):
-        if found >= header.point_count:
-            break  # an empty file has an empty chunk
-        stream.seek(first)
-        if not _layers_fit(stream, laszip, length):
-            raise InputError(f"{path}: a compressed chunk is shorter than what it declares to hold; it is damaged")
-        found += count if record.uses_variable_size_chunks() else record.chunk_size()
-        first += length
-    if found < header.point_count:
-        raise InputError(f"{path}: declares {header.point_count} points, more than its chunks hold; it is truncated")
-    stream.seek(position)
-
-
-def _layers_fit(stream: BinaryIO, laszip: bytes, length: int) -> bool:
-    """Whether a chunk is as long as its layers are.
-
-    The chunks of point formats 6 and up begin with the first point as it is and the number of points; then come the
-    lengths of the layers, one or several for each item of the points (LASzip, "layered chunked" compression).
-    """
-    compressor, items = _LASZIP_HEAD.unpack_from(laszip)
-    if compressor != _LAYERED:
-        return True
-    sizes = []
-    for item in range(items):
-        kind, size = struct.unpack_from("<HH", laszip, _LASZIP_HEAD.size + 6 * item)
-        sizes.append((size, size) if kind == _EXTRA_BYTES_ITEM else _ITEMS[kind])
-        if sizes[-1][0] != size:
-            return False
-    head, layers = sum(size for size, _ in sizes) + 4, sum(count for _, count in sizes)
-    stream.seek(head, 1)
-    lengths = stream.read(4 * layers)
-    return len(lengths) == 4 * layers and head + len(lengths) + sum(struct.unpack(f"<{layers}I", lengths)) <= length
 
 
 def _read_points(reader: Any, rows: int, path: Path) -> Iterator[Columns]:

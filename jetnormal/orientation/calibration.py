@@ -5,8 +5,8 @@ for each kind of evidence, turns them into the share of right signs that was mea
 six categories have them, on simulated scans of other such solids, and on simulated rooms, streets and country, each
 cloud counting the same. On shapes that a curve was not fitted to, the expected calibration error fell from 0.14 to 0.03
 (outward), from 0.12 to 0.02 (mst) and from 0.34 to 0.002 (viewpoint); on eight noisy meshes, thin plates among them,
-from 0.19 to 0.015 (outward). With terrain and single views, whole clouds are
-right or wrong; the few that there were left it as it was (0.02 and 0.13).
+from 0.19 to 0.015 (outward). With terrain and single views, whole clouds are right or wrong; the few that there were
+left it as it was (0.02 and 0.13).
 """
 
 from __future__ import annotations
