@@ -20,7 +20,12 @@ from jetnormal.support.report import logger, print_json
 @with_options
 def evaluate(
     data: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder in PCPNet's layout: NAME.xyz, NAME.normals, NAME.pidx.")
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Folder in PCPNet's layout: NAME.xyz, NAME.normals, NAME.pidx.",
+            rich_help_panel="Data",
+        ),
     ],
     options: EvaluateOptions,
     model: Annotated[
@@ -29,19 +34,29 @@ def evaluate(
             metavar="NAME|FILE",
             help="pca, jet, traditional, a packaged network or a model file; repeatable.",
             autocompletion=complete_model,
+            rich_help_panel="Data",
         ),
     ] = None,
     plots: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Draw error heatmaps and curves into this folder.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Draw error heatmaps and curves into this folder.", rich_help_panel="Output"),
     ] = None,
-    plots_format: Annotated[Literal["png", "pdf", "svg"], typer.Option(help="Of the pictures.")] = "png",
+    plots_format: Annotated[
+        Literal["png", "pdf", "svg"], typer.Option(help="Format of the pictures.", rich_help_panel="Output")
+    ] = "png",
     up: Annotated[
-        Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Direction that is up in the heatmaps.")
+        Any,
+        typer.Option(
+            parser=parse_vector, metavar="X,Y,Z", help="Direction that is up in the heatmaps.", rich_help_panel="Output"
+        ),
     ] = "0,1,0",
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the pictures of an earlier evaluation.")] = False,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Overwrite the pictures of an earlier evaluation.", rich_help_panel="Output"),
+    ] = False,
     table: Annotated[
         Literal["rich", "markdown", "latex", "csv"] | None,
-        typer.Option("--format", help="Of the tables.", show_default="rich"),
+        typer.Option("--format", help="Format of the tables.", show_default="rich", rich_help_panel="Output"),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,

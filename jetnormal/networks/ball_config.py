@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from jetnormal.support.options import Option
 
 
 @dataclass(frozen=True)
 class BallConfig:
     """What rebuilds a network of balls; the defaults are PCPNet's.
 
-    Attributes:
-        radii: of the balls, in diagonals of the cloud's bounding box.
-        points: of a ball: as many are drawn from a fuller one.
-        width: factor on every channel count.
-        principal_axes: whether the balls are turned to the principal axes of the largest one, which spares a small
-            network learning all rotations; the published networks do without.
-
     Raises:
         ValueError: if a number is out of range.
     """
 
-    radii: tuple[float, ...] = (0.01, 0.03, 0.05)
-    points: int = 500
-    width: float = 1.0
-    principal_axes: bool = False
+    radii: Annotated[
+        tuple[float, ...], Option("Radii of the balls, as shares of the diagonal of the cloud's bounding box.")
+    ] = (0.01, 0.03, 0.05)
+    points: Annotated[int, Option("Points of a ball; from a fuller ball so many are drawn.")] = 500
+    width: Annotated[float, Option("Factor on all numbers of channels; 1 is as published.")] = 1.0
+    principal_axes: Annotated[
+        bool,
+        Option(
+            "Whether the balls are first turned to the principal axes of the largest one. A small network then need "
+            "not learn all rotations; the published networks do without."
+        ),
+    ] = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "radii", tuple(self.radii))  # a model file has a list

@@ -13,6 +13,7 @@ neighbors lie, and those of the neighbors to the side of the point's own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 import torch.nn.functional as F
@@ -22,6 +23,7 @@ from jetnormal.geometry.graph import Graph
 from jetnormal.networks.eigenvectors import smallest_eigenvector
 from jetnormal.networks.patchfit.layers import full_precision
 from jetnormal.networks.patchfit.ztransform import rotation_matrix
+from jetnormal.support.options import Option
 
 UNIT = 0.2  # offsets enter the network as this times their length in spacings of the cloud
 CODE = 8  # channels of what is known of a neighborhood as a whole
@@ -31,16 +33,12 @@ CODE = 8  # channels of what is known of a neighborhood as a whole
 class IterNetConfig:
     """What rebuilds an IterNet, and how it is used.
 
-    Attributes:
-        neighbors: of a point in the graph, besides itself.
-        iterations: of weighing and fitting.
-
     Raises:
         ValueError: if a number is out of range.
     """
 
-    neighbors: int = 64
-    iterations: int = 4
+    neighbors: Annotated[int, Option("Neighbors of a point in the graph, without the point itself.")] = 64
+    iterations: Annotated[int, Option("Rounds of weighing the neighbors and fitting a plane.")] = 4
 
     def __post_init__(self) -> None:
         if self.neighbors < 2:

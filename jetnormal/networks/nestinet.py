@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 import torch.nn.functional as F
@@ -21,6 +22,7 @@ from torch import Tensor, nn
 from jetnormal.networks.ball_config import BallConfig
 from jetnormal.networks.patchfit.layers import point_layers
 from jetnormal.networks.patchfit.ztransform import scaled
+from jetnormal.support.options import Option
 
 GRID = 8  # Gaussians along each axis
 CHANNELS = 20  # of a Fisher vector
@@ -33,7 +35,7 @@ EXPERT = ((128, 3, 5), (256, 3, 5), None, (256, 2, 4), None, (512, 2, 4), None)
 class NestiNetConfig(BallConfig):
     """What rebuilds a Nesti-Net; the defaults are the published network. A sparse ball keeps fewer than `points`."""
 
-    points: int = 512
+    points: Annotated[int, Option("Points of a ball; from a fuller ball so many are drawn.")] = 512
 
     @property
     def experts(self) -> list[slice]:

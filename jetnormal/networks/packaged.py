@@ -41,6 +41,8 @@ def resolve(name: str | Path, others: Iterable[str] = ()) -> Path:
         path = Path(name)
         if path.is_file():
             return path
+        if (network := path / f"model{SUFFIX}").is_file():
+            raise ModelError(f"{path}: is the folder of a run; its network is {network}")
     known = [*packaged_names(), *others]
     hint = did_you_mean(str(name), known)
     raise ModelError(f"{str(name)[:200]}: neither a packaged model ({', '.join(known)}) nor a model file{hint}")

@@ -95,7 +95,7 @@ def _bar(description: str, total: int, unit: str) -> Iterator[Advance]:
 
     class RateColumn(ProgressColumn):
         def render(self, task: Task) -> Text:
-            return Text(f"{task.speed or 0:,.0f} {unit}/s")
+            return Text(f"{_rate(task.speed or 0)} {unit}/s")
 
     columns = (
         TextColumn("{task.description}"),
@@ -111,6 +111,11 @@ def _bar(description: str, total: int, unit: str) -> Iterator[Advance]:
         yield lambda count, note="": bar.update(task, advance=count, note=note)
 
 
+def _rate(rate: float) -> str:
+    """A rate as a text: slow ones, as of large crops, with a digit behind the point."""
+    return f"{rate:,.0f}" if rate >= 10 else f"{rate:.1f}"
+
+
 def _log_lines(description: str, total: int, unit: str) -> Advance:
     start = last = time.monotonic()
     done = 0
@@ -124,7 +129,7 @@ def _log_lines(description: str, total: int, unit: str) -> Advance:
         last = now
         rate = done / (now - start)
         left = (total - done) / rate if rate else float("inf")
-        line = f"{description}: {100 * done / total:.0f} %, {rate:,.0f} {unit}/s, {left:.0f} s left"
+        line = f"{description}: {100 * done / total:.0f} %, {_rate(rate)} {unit}/s, {left:.0f} s left"
         logger.info("%s", f"{line}, {note}" if note else line)
 
     return advance

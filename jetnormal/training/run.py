@@ -149,7 +149,9 @@ class Run:
             ModelError: there is no such model, or it shares nothing with this network.
         """
         if self._state_path.exists():
-            raise InputError(f"{self.folder}: holds a run already; resume it or choose another folder")
+            raise InputError(
+                f"{self.folder}: holds a run already; `resume` goes on with it, another folder starts a new one"
+            )
         if initial:
             self._take_over(resolve(initial))
         try:

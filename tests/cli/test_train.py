@@ -279,7 +279,7 @@ def test_run_is_not_started_over_another(pcpnet, tmp_path, monkeypatch, capsys):
     arguments = ["--data", pcpnet, *TINY, "-o", tmp_path, "--device", "cpu"]
     assert run(monkeypatch, *arguments) == 0
     assert run(monkeypatch, *arguments) == 3
-    assert "holds a run already; resume it" in capsys.readouterr().err
+    assert "holds a run already; --resume goes on with it" in capsys.readouterr().err
 
 
 def test_absent_device_exits_5(pcpnet, tmp_path, monkeypatch):

@@ -116,8 +116,11 @@ def test_missing_files_are_named(tmp_path):
             load_model(name)
     with pytest.raises(ModelError, match="no such model file"):
         load_tensors(tmp_path / "no.safetensors")
-    with pytest.raises(ModelError):
+    with pytest.raises(ModelError, match="neither a packaged model"):
         load_model(tmp_path)  # a folder
+    (tmp_path / "model.safetensors").touch()
+    with pytest.raises(ModelError, match=r"is the folder of a run; its network is .*model\.safetensors"):
+        load_model(tmp_path)
 
 
 @pytest.mark.parametrize("size", [0, 4, 100, -1])

@@ -205,13 +205,13 @@ def read_model(path: Path) -> None:
     load_model(path)
 
 
-CLOUDS = {suffix[1:]: Reader(suffix, cloud_seeds(suffix), read_and_write) for suffix in (
-    ".ply", ".pcd", ".xyz", ".txt", ".asc", ".csv", ".pts", ".npy", ".npz",
-)}  # fmt: skip
+NEEDED = {"las": "laspy", "laz": "lazrs", "e57": "pye57"}  # their compiled code may end the process
+WRITTEN = [suffix for known in formats.all_formats() if known.write for suffix in known.suffixes]
+CLOUDS = {
+    suffix[1:]: Reader(suffix, cloud_seeds(suffix), read_and_write) for suffix in WRITTEN if suffix[1:] not in NEEDED
+}
 LIBRARIES = {
-    "las": Reader(".las", cloud_seeds(".las"), read_and_write, "laspy"),
-    "laz": Reader(".laz", cloud_seeds(".laz"), read_and_write, "lazrs"),
-    "e57": Reader(".e57", cloud_seeds(".e57"), read_and_write, "pye57"),
+    name: Reader(f".{name}", cloud_seeds(f".{name}"), read_and_write, library) for name, library in NEEDED.items()
 }
 MESHES = {f"mesh {suffix[1:]}": Reader(suffix, mesh_seeds(suffix), read_mesh) for suffix in (
     ".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".npz",

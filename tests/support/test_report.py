@@ -80,7 +80,7 @@ def test_progress_line_ends_with_the_note(monkeypatch, capsys):
     monkeypatch.setattr(report.time, "monotonic", lambda: next(clock))
     with report.progress("epoch 1", 100, unit="patches") as advance:
         advance(50, "loss 0.25")
-    assert capsys.readouterr().err == "jetnormal: epoch 1: 50 %, 2 patches/s, 20 s left, loss 0.25\n"
+    assert capsys.readouterr().err == "jetnormal: epoch 1: 50 %, 2.5 patches/s, 20 s left, loss 0.25\n"
 
 
 @pytest.mark.parametrize("configured", [True, False])

@@ -32,6 +32,14 @@ def test_a_written_recipe_is_read_as_the_same(tmp_path):
     assert read_recipe(written(tmp_path, "b.toml", recipe_text(recipe, explained=True))) == recipe
 
 
+def test_every_setting_of_every_recipe_is_explained():
+    for name in recipe_names():
+        lines = recipe_text(read_recipe(name), explained=True).splitlines()
+        settings = [line for line in lines if " = " in line and not line.startswith(("family", "about"))]
+        for line in settings:
+            assert lines[lines.index(line) - 1].startswith("# "), f"{name}: {line}"
+
+
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [

@@ -304,9 +304,16 @@ def test_one_process_at_a_time_trains_in_a_folder(finished):
 def test_a_new_run_does_not_overwrite_one(finished):
     folder, _ = finished
     before = (folder / "model.safetensors").read_bytes()
-    with pytest.raises(InputError, match="holds a run already; resume it"):
+    with pytest.raises(InputError, match="holds a run already; `resume` goes on"):
         train(RECIPE, Spheres(), folder)
     assert (folder / "model.safetensors").read_bytes() == before
+
+
+def test_a_finished_run_says_that_it_is_done(finished, caplog):
+    folder, summary = finished
+    with caplog.at_level("INFO", "jetnormal"):
+        assert train(RECIPE, Spheres(), folder, resume=True) == summary
+    assert "all 2 epochs of the run are done; a larger number extends it" in caplog.messages
 
 
 def test_there_must_be_a_run_to_resume(tmp_path):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 from jetnormal.errors import UsageError
-from jetnormal.support.options import build
+from jetnormal.support.options import Option, build
 
 NODE_FEATURES = 5  # of a point: three variances, the tilt and the length of the centroid
 COARSE_NEIGHBORS = 9  # of the next level that vote for a point
@@ -21,19 +21,20 @@ BALLOTS = 3  # weights of a neighbor's votes: its offset, its normal, its normal
 class CloudFitConfig:
     """What rebuilds a CloudFit network.
 
-    Attributes:
-        channels: of the levels, the finest first; even numbers.
-        hidden: channels of the functions that weigh edges.
-        up_layers, down_layers: edge convolutions of each level on the way up and on the way down.
-
     Raises:
         ValueError: if the levels disagree or a number is out of range.
     """
 
-    channels: tuple[int, ...] = (64, 128, 192, 192, 192, 192)
-    hidden: int = 32
-    up_layers: tuple[int, ...] = (1, 1, 2, 2, 2, 2)
-    down_layers: tuple[int, ...] = (2, 2, 2, 2, 2, 0)
+    channels: Annotated[
+        tuple[int, ...], Option("Channels of each level of the pyramid, the finest first; even numbers.")
+    ] = (64, 128, 192, 192, 192, 192)
+    hidden: Annotated[int, Option("Channels of the small networks that weigh edges.")] = 32
+    up_layers: Annotated[
+        tuple[int, ...], Option("Edge convolutions of each level on the way up, from fine to coarse.")
+    ] = (1, 1, 2, 2, 2, 2)
+    down_layers: Annotated[
+        tuple[int, ...], Option("Edge convolutions of each level on the way down, from coarse to fine.")
+    ] = (2, 2, 2, 2, 2, 0)
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.channels) == len(self.up_layers) == len(self.down_layers):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 from torch import Tensor, nn
 
@@ -14,6 +14,7 @@ from jetnormal.networks.patchfit.deepfit import DeepFit
 from jetnormal.networks.patchfit.graphfit import GraphFit
 from jetnormal.networks.patchfit.layers import PointLayer, full_precision
 from jetnormal.networks.patchfit.ztransform import QSTN, ZTransform, rotation_to_z
+from jetnormal.support.options import Option
 
 MAX_WIDTH = 16  # times the published channels
 
@@ -22,33 +23,32 @@ MAX_WIDTH = 16  # times the published channels
 class PatchFitConfig:
     """What rebuilds a PatchFit network.
 
-    Attributes:
-        weights: the weight predictor: "deepfit", "adafit" or "graphfit".
-        neighbors: points in a patch.
-        order: order of the jet, 1 to 4.
-        transform: "ztransform" (the paper's) or "qstn" (the baseline's).
-        correction: whether the normal error estimation follows the fit.
-        width: factor on every channel count.
-        transform_width: factor on the transform's channel counts; None takes `width`.
-        feature_transform: whether the weight predictor has PointNet's feature transform.
-        light: whether the z-direction transform is its light form.
-        offsets: whether the weight predictor also moves the points before the fit; "deepfit" with offsets is the
-            single-scale AdaFit.
-
     Raises:
         ValueError: if a number is out of range.
     """
 
-    weights: Literal["deepfit", "adafit", "graphfit"] = "deepfit"
-    neighbors: int = 256
-    order: int = 3
-    transform: Literal["ztransform", "qstn"] = "ztransform"
-    correction: bool = True
-    width: float = 1.0
-    transform_width: float | None = None
-    feature_transform: bool = True
-    light: bool = False
-    offsets: bool = False
+    weights: Annotated[
+        Literal["deepfit", "adafit", "graphfit"], Option("Network that weighs the points: deepfit, adafit or graphfit.")
+    ] = "deepfit"
+    neighbors: Annotated[int, Option("Points of a patch.")] = 256
+    order: Annotated[int, Option("Order of the jet, 1 to 4.")] = 3
+    transform: Annotated[
+        Literal["ztransform", "qstn"],
+        Option("How a patch is turned first: ztransform (the paper's z-direction transform) or qstn (the baselines')."),
+    ] = "ztransform"
+    correction: Annotated[bool, Option("Whether the paper's normal error estimation follows the fit.")] = True
+    width: Annotated[float, Option("Factor on all numbers of channels; 1 is as published.")] = 1.0
+    transform_width: Annotated[
+        float | None, Option("The same factor for the transform alone.", default="that of width")
+    ] = None
+    feature_transform: Annotated[
+        bool, Option("Whether the network that weighs the points has PointNet's feature transform.")
+    ] = True
+    light: Annotated[bool, Option("Whether the z-direction transform looks at every second point only.")] = False
+    offsets: Annotated[
+        bool,
+        Option("Whether the points are also moved before the fit; deepfit with offsets is the single-scale AdaFit."),
+    ] = False
 
     def __post_init__(self) -> None:
         if self.neighbors < 3:
