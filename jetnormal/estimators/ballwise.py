@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -43,6 +44,7 @@ class BallEstimator:
     has_curvature: ClassVar[bool] = False
     min_points: ClassVar[int] = NETWORK_POINTS
     whole_cloud: ClassVar[bool] = False
+    reach: ClassVar[float] = math.inf
 
     @property
     def neighbors(self) -> int:

@@ -77,6 +77,14 @@ class Estimator(Protocol):
         """Whether most of the work is done once for the whole cloud, however few the queries are."""
         ...
 
+    @property
+    def reach(self) -> float:
+        """How far around a point the estimator looks, in root mean square distances of a point's 16 neighbors.
+
+        Infinite where it depends on the size of the cloud.
+        """
+        ...
+
     def __call__(
         self, points: NDArray[np.float64], queries: NDArray[np.int64] | None = None, advance: Advance | None = None
     ) -> Prediction:
@@ -84,7 +92,8 @@ class Estimator(Protocol):
 
         Args:
             points: (N, 3) finite coordinates, N >= 3.
-            queries: (Q,) indices of the points to estimate; None means all.
+            queries: (Q,) indices of the points to estimate, for which the points are looked at as a whole; None means
+                all, for which a large cloud may be cut into blocks.
             advance: called with the number of points just done.
         """
         ...

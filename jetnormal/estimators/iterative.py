@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction
-from jetnormal.estimators.blocks import in_blocks
+from jetnormal.estimators.blocks import in_blocks, radius_of
 from jetnormal.estimators.patchwise import agreement
 from jetnormal.geometry.graph import Graph, build_graph, cloud_spacing
 from jetnormal.geometry.neighbors import COLLINEAR
@@ -63,7 +63,12 @@ class IterEstimator:
         def block(part: NDArray[np.float64], asked: NDArray[np.int64]) -> list[Prediction]:
             return [self._block(part, spacing, torch.from_numpy(asked), advance)]
 
-        return in_blocks(points, queries, block, self.threads)
+        return in_blocks(points, queries, block, self.reach, self.threads)
+
+    @property
+    def reach(self) -> float:
+        """See `estimators.base.Estimator`: a hop for each iteration, and one for the first planes."""
+        return (self._iterations + 1) * radius_of(self.neighbors)
 
     def cost(self, points: NDArray[np.float64]) -> float:
         """See `estimators.base.Estimator`; counted on some of the points."""

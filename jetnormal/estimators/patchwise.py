@@ -18,6 +18,7 @@ from torch import Tensor
 
 from jetnormal.errors import UsageError
 from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction, joined
+from jetnormal.estimators.blocks import radius_of
 from jetnormal.estimators.weights import check_finite, usable_weights
 from jetnormal.geometry.jet import MAX_ORDER, exponents, fit_jet
 from jetnormal.geometry.neighbors import NeighborIndex
@@ -89,6 +90,11 @@ class PatchEstimator:
                     if advance:
                         advance(len(part.normals))
         return joined(parts)
+
+    @property
+    def reach(self) -> float:
+        """See `estimators.base.Estimator`: the size of a patch."""
+        return radius_of(self.neighbors)
 
     def cost(self, points: NDArray[np.float64]) -> float:
         """See `estimators.base.Estimator`; counted on one patch."""

@@ -27,6 +27,7 @@ from jetnormal.support.report import Advance, logger
 if TYPE_CHECKING:
     from jetnormal.networks.cloudfit.network import CloudFit
 
+REACH_LEVELS = 2  # whose hops tell how far a point sees
 CURVATURE_LEVELS = 3  # whose normals take part in the curvature
 CURVATURE_ROWS = 8192  # points that a thread takes at a time
 # The second of the last votes takes 1 % off the error of sampled clouds, and nothing off that of scans.
@@ -67,7 +68,18 @@ class CloudEstimator:
                 advance(len(asked))
             return [prediction]
 
-        return in_blocks(points, queries, estimate, self.threads)
+        return in_blocks(points, queries, estimate, self.reach, self.threads)
+
+    @property
+    def reach(self) -> float:
+        """See `estimators.base.Estimator`: the hops of the two finest levels, from a point to its farthest neighbor.
+
+        At each level, that is a hop for each layer, and those to the coarser level, from it and of the vote. What
+        coarser levels see beyond hardly counts: with 25 for this network, normals of a noisy solid and of a terrestrial
+        scan, a million points each, differ from those without blocks by 0.0003 degrees (rms); with 10, by 0.03.
+        """
+        hops = [up + down + 3 for up, down in zip(self.config.up_layers, self.config.down_layers, strict=True)]
+        return float(sum(np.sqrt(2) * 2**level * count for level, count in enumerate(hops[:REACH_LEVELS])))
 
     def cost(self, points: NDArray[np.float64]) -> float:
         """See `estimators.base.Estimator`; without the compiled loops over edges."""

@@ -98,6 +98,19 @@ def cut_into_cells(sample: Floats, times: int, largest: int) -> Cells:
     return Cells(**tree)
 
 
+def near_boxes(boxes: Floats, box: int, widths: Floats | float) -> list[int]:
+    """Find the other boxes that are nearer to a box, along each axis, than their own widths.
+
+    Args:
+        boxes: (T, 2, 3) least and largest coordinates.
+        box: number of the box.
+        widths: (T,), or one for all.
+    """
+    width = np.broadcast_to(widths, len(boxes))[:, None]
+    meets = ((boxes[:, 0] - width <= boxes[box, 1]) & (boxes[:, 1] + width >= boxes[box, 0])).all(axis=1)
+    return [int(other) for other in np.flatnonzero(meets) if other != box]
+
+
 def _cut(points: Floats) -> tuple[int, float]:
     """The axis and the place of a cut that leaves points on both sides; -1 if all are one point."""
     axis = int(np.argmax(np.ptp(points, axis=0)))

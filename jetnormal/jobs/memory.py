@@ -10,7 +10,7 @@ from pathlib import Path
 
 from jetnormal import formats
 from jetnormal.errors import InputError, ResourceError
-from jetnormal.estimators.blocks import CORE, HALO_SHARE
+from jetnormal.estimators.blocks import bytes_of, core_that_fits
 from jetnormal.formats import CloudStream
 from jetnormal.jobs.options import LargeOptions, ReadOptions
 from jetnormal.support.report import logger
@@ -18,7 +18,6 @@ from jetnormal.support.report import logger
 SHARE = 0.6  # of the machine's memory
 PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
 PER_POINT = 1750  # bytes of a cloud that is computed at once, at the peak: when the signs are chosen
-IN_TILE = 1000  # bytes of a point of a tile and its halo, at the peak
 THINNED = 4_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
 BINARY = 16  # bytes of a point in a file that is not text: three float32 and some more
@@ -105,9 +104,9 @@ def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions) -> Roo
             raise InputError(f"{takes}, and {known.name} files are not read in pieces; {able} are")
         logger.info("%s: it is computed in tiles", takes.replace("`max_memory`", "--max-memory"))
     rest = limit - PROGRAM
-    room = Room(min(CORE, int(rest / IN_TILE / (1 + HALO_SHARE))), min(THINNED, int(rest / PER_POINT)))
+    room = Room(core_that_fits(rest), min(THINNED, int(rest / PER_POINT)))
     if room.tile < LEAST_TILE:
-        least = (PROGRAM + LEAST_TILE * IN_TILE * (1 + HALO_SHARE)) / 1e9
+        least = (PROGRAM + bytes_of(LEAST_TILE)) / 1e9
         raise ResourceError(f"`max_memory` is {limit / 1e9:.2g} GB, but a tile needs {least:.1f} GB")
     return room
 

@@ -66,7 +66,8 @@ def predict(
         estimator: what `prepare_estimator` made of the options.
         options: how.
         advance: called with the number of points just done.
-        queries: (Q,) rows of the points to estimate, ascending; None for all.
+        queries: (Q,) rows of the points to estimate, ascending, where these are a part of a cloud that was cut out
+            to be looked at as a whole; None for all.
 
     Returns:
         The prediction for the queries, the name of the estimator that looked at most of the cloud, and warnings.
@@ -74,9 +75,9 @@ def predict(
     from jetnormal.geometry.parts import far_apart
     from jetnormal.geometry.scale import unit_scale
 
-    queries = np.arange(len(points)) if queries is None else queries
-    asked = np.zeros(len(points), dtype=np.bool_)
-    asked[queries] = True
+    asked = np.full(len(points), queries is None)
+    if queries is not None:
+        asked[queries] = True
     parts = [rows for rows in far_apart(points) if asked[rows].any()]
     predictions: list[Prediction] = []
     names: list[str] = []
@@ -88,7 +89,7 @@ def predict(
             continue
         suited, said = _suited_to(len(rows), estimator, options)
         scaled, exponent = unit_scale(points[rows])
-        found = suited(scaled, mine, advance)
+        found = suited(scaled, None if queries is None else mine, advance)
         if found.curvatures is not None:
             with np.errstate(over="ignore"):  # parts of less than 1e-38 have curvatures beyond float32
                 found = replace(found, curvatures=np.ldexp(found.curvatures, exponent))

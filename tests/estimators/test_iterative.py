@@ -53,7 +53,7 @@ def test_threads_and_batches_do_not_matter(estimator: IterEstimator):
 def test_blocks_leave_no_seams(estimator: IterEstimator, monkeypatch: pytest.MonkeyPatch):
     points = wavy(6000)
     whole = estimator(points)
-    monkeypatch.setattr(blocks, "WHOLE", 2000)
+    monkeypatch.setattr(blocks, "TOGETHER", 2000)
     monkeypatch.setattr(blocks, "CORE", 2000)
     parts = estimator(points)
     assert np.abs((whole.normals * parts.normals).sum(axis=1)).min() > 1 - 1e-6

@@ -62,7 +62,7 @@ def test_queries_get_what_they_get_among_all(estimator: CloudEstimator):
 def test_blocks_leave_no_seams(estimator: CloudEstimator, monkeypatch: pytest.MonkeyPatch):
     points = wavy(12_000)
     whole = estimator(points)
-    monkeypatch.setattr(blocks, "WHOLE", 3000)
+    monkeypatch.setattr(blocks, "TOGETHER", 3000)
     monkeypatch.setattr(blocks, "CORE", 3000)
     monkeypatch.setattr(blocks, "HALO_SHARE", 10.0)
     parts = estimator(points)

@@ -70,7 +70,7 @@ def test_the_default_model_and_a_las_file(tmp_path):
 
 def test_tiles_are_the_blocks_of_a_cloud_in_memory(tmp_path, monkeypatch):
     """The same points in the same cells, with the same halos: the same but for rounding."""
-    monkeypatch.setattr(blocks, "WHOLE", 2000)
+    monkeypatch.setattr(blocks, "TOGETHER", 2000)
     monkeypatch.setattr(blocks, "CORE", TILE)
     monkeypatch.setattr(cells, "SAMPLE", 2000)
     options = EstimateOptions(orient="up", confidence=True)

@@ -65,12 +65,6 @@ class Plan:
         """(2, 3) of all finite points."""
         return np.stack([self.boxes[:, 0].min(axis=0), self.boxes[:, 1].max(axis=0)])
 
-    def near(self, tile: int, width: float) -> list[int]:
-        """The other tiles whose boxes are nearer to that of a tile than a width, along each axis."""
-        low, high = self.boxes[tile, 0] - width, self.boxes[tile, 1] + width
-        meets = ((self.boxes[:, 0] <= high) & (self.boxes[:, 1] >= low)).all(axis=1)
-        return [int(other) for other in np.flatnonzero(meets) if other != tile]
-
 
 def distribute(stream: CloudStream, store: Store, options: EstimateOptions, largest: int) -> Plan:
     """Write the finite points of a file into tiles.

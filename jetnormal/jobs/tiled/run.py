@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -53,13 +54,16 @@ def estimate_in_tiles(
         A summary as that of `estimate_file`, and under tiles: their number, the points of the largest, bytes on disk.
 
     Raises:
+        UsageError: the estimator needs the whole cloud.
         InputError: as `estimate_file`; a file cannot be read or written in pieces; the disk is too small; there is
             nothing to resume, or it was made of another input or with other options.
     """
     timer = StageTimer()
     formats.check_pieces(target, format=formats.format_for(target, files.format))
     with timer.stage("model"):
-        kept_estimator(options)  # what is wrong with the options shows before the cloud is read
+        estimator = kept_estimator(options)  # what is wrong with the options shows before the cloud is read
+    if not math.isfinite(estimator.reach):
+        raise UsageError(f"{estimator.name} looks at the whole cloud for each point, and cannot look at tiles of it")
     with timer.stage("read"):
         form = formats.format_for(source, files.format)
         stream = formats.open_stream(source, format=form, columns=files.columns, decimal=files.decimal)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from jetnormal.cloud import Source
 from jetnormal.estimators.base import Estimator
-from jetnormal.estimators.blocks import HALO, halo_width, with_halo
+from jetnormal.estimators.blocks import Spacing, nearest, seen_from, widest
+from jetnormal.geometry.cells import near_boxes
 from jetnormal.geometry.neighbors import NeighborIndex, distinct, spatial_order
 from jetnormal.jobs import memory
 from jetnormal.jobs.options import EstimateOptions
@@ -23,11 +24,11 @@ from jetnormal.orientation.sensors import Sensors
 
 Floats = NDArray[np.float64]
 
-SIGN_HALO = 6.0  # width, in root mean square distances of the 16 neighbors, of what is seen for signs
+SIGN_REACH = 20.0  # of patches of neighbors that agree, see `estimators.base.Estimator.reach`
 CANDIDATES = 50_000  # points of a tile, at least, that may go into the thinned cloud
 SPACING_NEIGHBORS = 8
-SAMPLED = 20_000  # points that tell how far apart the points of a tile are
 
+SPACING = "spacing"
 THINNED = "thinned"
 FIND, SIGN = "found", "signed"
 """The two tasks of a tile, by the name of what they leave behind."""
@@ -61,11 +62,8 @@ def find_directions(store: Store, plan: Plan, tile: int, options: EstimateOption
     points = np.array(store.raw("points", tile))
     first, copies = distinct(points)
     core = points[first]
-    width = halo_width(core, options.threads)
-    around = [_near(store, plan, tile, other, width)[0] for other in plan.near(tile, width)]
-    halo = np.concatenate([np.zeros((0, 3)), *around])
-    seen = np.concatenate([core, halo[distinct(halo)[0]]])  # copies of a point are in one tile
-    seen = seen[with_halo(seen, np.arange(len(core)), width)]
+    halo = _halo(store, plan, tile, len(core), estimator.reach, options.threads)
+    seen = np.concatenate([core, *(store.raw("points", other)[rows] for other, rows in halo)])
     prediction, name, warnings = predict(seen, estimator, options, _silent, np.arange(len(core)))
     found = np.empty(len(core), FOUND)
     found["normal"], found["confidence"] = prediction.normals, prediction.confidence
@@ -77,6 +75,30 @@ def find_directions(store: Store, plan: Plan, tile: int, options: EstimateOption
     degenerate = ~np.isfinite(found["normal"]).all(axis=1)
     store.write_json(f"{tile:05}", said | {"degenerate": int(degenerate[copies].sum())})
     store.save(FIND, tile, found[copies])
+
+
+def _halo(
+    store: Store, plan: Plan, tile: int, core: int, reach: float, threads: int | None
+) -> list[tuple[int, NDArray[np.int64]]]:
+    """What a tile of so many different points sees of others: their numbers, and rows (n,) of different points."""
+    widths = [widest(high - low, count) for (low, high), count in zip(plan.boxes, plan.counts, strict=True)]
+    others = near_boxes(plan.boxes, tile, reach * np.array(widths))
+    seen = []
+    for other in others:
+        points = np.array(store.raw("points", other))
+        rows, apart = seen_from(plan.boxes[tile], points, _spacing(store, other, points, threads), reach)
+        first = np.sort(distinct(points[rows])[0])  # copies of a point are in one tile
+        seen.append((rows[first], apart[first]))
+    return list(zip(others, nearest(seen, core), strict=True))
+
+
+def _spacing(store: Store, tile: int, points: Floats, threads: int | None) -> Spacing:
+    """How far apart the points of a tile are; the first who asks finds it for all."""
+    if not store.has(SPACING, tile):
+        found = Spacing.of(points[distinct(points)[0]], threads)
+        store.save(SPACING, tile, np.column_stack([found.sample, found.values]))
+    held = np.array(store.load(SPACING, tile))
+    return Spacing(held[:, :3], held[:, 3], threads)
 
 
 def find_signs(store: Store, plan: Plan, tile: int, options: EstimateOptions) -> None:
@@ -104,14 +126,12 @@ def _with_neighbors(
 ) -> tuple[Floats, Floats, Sensors | None, NDArray[np.int64]]:
     """Distinct points of a tile and of what is near, directions, sensors, and the rows (n,) of the tile's points."""
     inside = store.raw("points", tile)
-    width = SIGN_HALO / HALO * halo_width(np.array(inside[:: max(1, len(inside) // SAMPLED)]), options.threads)
     parts, directions, places = [np.array(inside)], [store.load(FIND, tile)["normal"]], []
     has_places = plan.sensors is not None and plan.place is None
     if has_places:
         places.append(np.array(store.raw("sensors", tile)))
-    for other in plan.near(tile, width):
-        near, rows = _near(store, plan, tile, other, width)
-        parts.append(near)
+    for other, rows in _halo(store, plan, tile, len(inside), SIGN_REACH, options.threads):
+        parts.append(store.raw("points", other)[rows])
         directions.append(store.load(FIND, other)["normal"][rows])
         if has_places:
             places.append(np.array(store.raw("sensors", other)[rows]))
@@ -124,13 +144,6 @@ def _with_neighbors(
     elif has_places:
         sensors = Sensors(np.concatenate(places)[first], str(plan.sensors))
     return points[first], normals, sensors, copies[: len(inside)]
-
-
-def _near(store: Store, plan: Plan, tile: int, other: int, width: float) -> tuple[Floats, NDArray[np.int64]]:
-    """The points of another tile that are nearer to the box of a tile than a width, and their rows there."""
-    points, (low, high) = store.raw("points", other), plan.boxes[tile]
-    rows = np.flatnonzero(((points >= low - width) & (points <= high + width)).all(axis=1))
-    return np.array(points[rows]), rows
 
 
 def _candidates(points: Floats, tiles: int, threads: int | None) -> tuple[NDArray[np.int64], float]:
