@@ -1,1 +1,1 @@
-"""Networks: a batch of patches in, a prediction out."""
+"""The networks, their configurations, and model files."""

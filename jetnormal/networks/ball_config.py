@@ -1,4 +1,4 @@
-"""What networks that look at balls of several sizes around a point have in common: PCPNet and Nesti-Net."""
+"""Configuration of the networks that look at balls of several sizes around a point: PCPNet and Nesti-Net."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jetnormal.support.options import Option
 
 @dataclass(frozen=True)
 class BallConfig:
-    """What rebuilds a network of balls; the defaults are PCPNet's.
+    """Configuration of a network of balls; the defaults are PCPNet's.
 
     Raises:
         ValueError: if a number is out of range.

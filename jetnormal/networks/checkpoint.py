@@ -1,6 +1,6 @@
-"""Networks on disk: safetensors files that carry the configuration which rebuilds the network.
+"""Save and load networks: safetensors files whose metadata holds the configuration of the network.
 
-Loading runs no code from the file: tensors and JSON text are all it holds.
+A file holds tensors and JSON text; loading it runs no code.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     Network = PatchFit | CloudFit | IterNet | PCPNet | NestiNet
 
-LONGEST_LIST = 64  # in a configuration: a network has a module or more for each item
+LONGEST_LIST = 64  # of a configuration: each item makes at least one module
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any]) -> None:
@@ -48,7 +48,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, Any
 
 
 def _canonical(content: bytes) -> bytes:
-    """A safetensors file with the entries of its metadata sorted: the library writes them in a random order."""
+    """Sort the metadata of a safetensors file, which the library writes in a random order."""
     size = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + size])
     header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
@@ -105,7 +105,7 @@ def load_model(name: str | Path) -> Network:
 
 
 def build_network(architecture: str, config: dict[str, Any]) -> Network:
-    """A network by its architecture and its configuration."""
+    """Build a network of an architecture from its configuration."""
     if any(isinstance(value, list) and len(value) > LONGEST_LIST for value in config.values()):
         raise ValueError(f"a list of more than {LONGEST_LIST} items")
     module, network, configuration = ARCHITECTURES[architecture]
@@ -115,10 +115,10 @@ def build_network(architecture: str, config: dict[str, Any]) -> Network:
 
 
 def _check_tensors(tensors: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
-    """Find out whether tensors are what a network takes.
+    """Check that tensors fit a network.
 
     Raises:
-        ValueError: one is missing, not needed, of another shape or type, or holds what is no usable number.
+        ValueError: one is missing, unknown, of another shape or type, or holds NaN, infinite or huge numbers.
     """
     for name in sorted(tensors.keys() ^ expected.keys()):
         raise ValueError(f"{name} is {'not needed' if name in tensors else 'missing'}")

@@ -51,7 +51,7 @@ def _smallest_eigenvalue(a: Tensor) -> Tensor:
 
 
 def _kernel_vector(b: Tensor) -> Tensor:
-    """(N, 3) unit vectors that symmetric (N, 3, 3) matrices map to about zero: the longest of the rows' products."""
+    """(N, 3) unit vectors that symmetric (N, 3, 3) matrices map to almost zero: the longest product of two rows."""
     products = torch.stack([torch.linalg.cross(b[:, i], b[:, j]) for i, j in ((0, 1), (1, 2), (2, 0))], dim=1)
     square = products.square().sum(2)
     longest = square.argmax(1)

@@ -1,13 +1,13 @@
-"""IterNet: planes fitted again and again, each time with weights that a small network draws from the last normals.
+"""IterNet: iterated plane fits, whose weights a small network computes from the normals of the last iteration.
 
 Lenssen, Osendorfer and Masci, "Deep Iterative Surface Normal Estimation", CVPR 2020: 7,981 parameters. The cloud is
 one graph of k nearest neighbors. The first normals are those of planes through all neighbors (PCA). An iteration looks
 at each edge of the graph - the offset, the angles to the normals at both of its ends, the last weight - and gives each
 neighbor a new weight; the next normals are those of the weighted planes. All iterations share their parameters.
 
-Moving or scaling the cloud, or writing its points in another order, does not change the result; turning the cloud
-does a little, for the network sees raw offsets. Normals have no sign here: each is turned to the side where its
-neighbors lie, and those of the neighbors to the side of the point's own.
+The result does not change if the cloud is moved, scaled or permuted. It changes a little if the cloud is rotated,
+because the network sees raw offsets. Normals have no sign: each is turned to the side where its neighbors lie, and the
+normals of the neighbors are turned to the side of the point's own normal.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from jetnormal.networks.patchfit.ztransform import rotation_matrix
 from jetnormal.support.options import Option
 
 UNIT = 0.2  # offsets enter the network as this times their length in spacings of the cloud
-CODE = 8  # channels of what is known of a neighborhood as a whole
+CODE = 8  # channels of the features of a whole neighborhood
 
 
 @dataclass(frozen=True)
 class IterNetConfig:
-    """What rebuilds an IterNet, and how it is used.
+    """Configuration of an IterNet.
 
     Raises:
         ValueError: if a number is out of range.

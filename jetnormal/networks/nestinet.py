@@ -2,9 +2,9 @@
 
 Ben-Shabat, Lindenbaum and Fischer, "Nesti-Net: Normal Estimation for Unstructured 3D Point Clouds using Convolutional
 Neural Networks", CVPR 2019. The points of each ball become a 3D modified Fisher vector (3DmFV; Ben-Shabat et al.,
-RA-L 2018): statistics of how they deviate from a mixture of Gaussians on a grid, which is a picture with 20 channels.
-Experts, two for each ball and one for all, are convolutional networks from such pictures to a normal; another network
-looks at all pictures and tells the probability that each expert is right. The likeliest one is asked.
+RA-L 2018): statistics of how they deviate from a mixture of Gaussians on a grid, a 3D image with 20 channels.
+Experts, two for each ball and one for all balls, are convolutional networks from such images to a normal. Another
+network looks at all images and predicts the probability that each expert is right. The most probable one is used.
 
 178,382,710 parameters with 8^3 Gaussians and seven experts: the 170.1 x 2^20 that Du et al. print.
 """
@@ -33,7 +33,7 @@ EXPERT = ((128, 3, 5), (256, 3, 5), None, (256, 2, 4), None, (512, 2, 4), None)
 
 @dataclass(frozen=True)
 class NestiNetConfig(BallConfig):
-    """What rebuilds a Nesti-Net; the defaults are the published network. A sparse ball keeps fewer than `points`."""
+    """Configuration of a Nesti-Net; the defaults are the published network. A sparse ball keeps fewer than `points`."""
 
     points: Annotated[int, Option("Points of a ball; from a fuller ball so many are drawn.")] = 512
 
@@ -59,7 +59,7 @@ class NestiNet(nn.Module):
         )
 
     def forward(self, points: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
-        """Ask all experts.
+        """Compute the normals of all experts, and their probabilities.
 
         Args:
             points: (B, S, n, 3) points of S balls around each query, in radii.
@@ -73,7 +73,7 @@ class NestiNet(nn.Module):
         return torch.stack(normals, 1).float(), self.gate(pictures).float().softmax(1)
 
     def estimate(self, points: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
-        """Ask the likeliest expert of each query.
+        """Compute the normal of the most probable expert of each query.
 
         Returns:
             (B, 3) unit vectors of any sign, and (B,) the probabilities of the experts that gave them.
@@ -126,7 +126,7 @@ def fisher_vectors(points: Tensor, counts: Tensor, grid: int = GRID) -> Tensor:
 
 
 class _Convolutions(nn.Module):
-    """Inception modules over the pictures of some balls, then fully connected layers."""
+    """Inception modules over the images of some balls, then fully connected layers."""
 
     def __init__(
         self, scales: int, plan: Sequence[tuple[int, int, int] | None], width: float, read: Sequence[int], outputs: int
@@ -149,7 +149,7 @@ class _Convolutions(nn.Module):
         self.read = nn.Sequential(point_layers(widths), nn.Linear(widths[-1], outputs))
 
     def forward(self, pictures: Tensor) -> Tensor:
-        """(B, S, 20, g, g, g) pictures to (B, outputs)."""
+        """(B, S, 20, g, g, g) images to (B, outputs)."""
         return self.read(self.convolutions(pictures.flatten(1, 2)).flatten(1))
 
 
@@ -172,13 +172,13 @@ class _Inception(nn.Module):
 
 
 def _convolution(inputs: int, outputs: int, size: int) -> nn.Sequential:
-    """A convolution that keeps the grid, normalized and cut off at zero."""
+    """A convolution that keeps the size of the grid, then batch normalization and ReLU."""
     layers = [nn.ConstantPad3d(_around(size), 0.0), nn.Conv3d(inputs, outputs, size)]
     return nn.Sequential(*layers, nn.BatchNorm3d(outputs), nn.ReLU(inplace=True))
 
 
 def _around(size: int) -> tuple[int, int, int, int, int, int]:
-    """Cells to add before and after each axis, so that a window of a size has as many places as there were cells."""
+    """Padding before and after each axis that keeps the size of the grid for a window of a size."""
     before, after = (size - 1) // 2, size // 2
     return before, after, before, after, before, after
 

@@ -1,4 +1,4 @@
-"""The models that ship with jetnormal, by name; knowing them loads nothing."""
+"""The names and files of the packaged models; nothing is loaded here."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def resolve(name: str | Path, others: Iterable[str] = ()) -> Path:
 
     Args:
         name: of a network, or a path.
-        others: names that the caller knows beside the packaged ones, for the message.
+        others: further names that the error message lists.
 
     Raises:
         ModelError: it is neither.

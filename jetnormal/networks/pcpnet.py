@@ -1,9 +1,9 @@
 """PCPNet: the normal straight from a PointNet over balls of several sizes around a point.
 
 Guerrero, Kleiman, Ovsjanikov and Mitra, "PCPNet: Learning Local Shape Properties from Raw Point Clouds", Eurographics
-2018. A quaternion turns the points, a matrix turns their features, maxima over the points of each ball describe it, and
-fully connected layers read the normal from the maxima: 22,362,055 parameters with three balls (the 21.3 x 2^20 that
-Du et al. print) and 3,469,255 with one.
+2018. A predicted quaternion rotates the points, a predicted matrix transforms their features. The maxima over the
+points of each ball describe it, and fully connected layers map the maxima to the normal: 22,362,055 parameters with
+three balls (the 21.3 x 2^20 that Du et al. print) and 3,469,255 with one.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ DROPOUT = 0.3
 
 @dataclass(frozen=True)
 class PCPNetConfig(BallConfig):
-    """What rebuilds a PCPNet; the defaults are the published multi-scale network.
+    """Configuration of a PCPNet; the defaults are the published multi-scale network.
 
-    The single-scale network has the radii (0.05,). The query fills up a ball that has fewer than `points`.
+    The single-scale network has the radii (0.05,). A ball of fewer than `points` points is filled up with copies of the
+    query.
     """
 
 
@@ -77,8 +78,8 @@ class PCPNet(nn.Module):
         """Find unit normals and confidences, from the same as `forward`.
 
         Returns:
-            (B, 3) unit vectors of any sign, and (B,) their lengths before, at most 1: between two normals that it takes
-            for possible, the network answers with a shorter one.
+            (B, 3) unit vectors of any sign, and (B,) their lengths before, at most 1: a network that is undecided
+            between two normals predicts a shorter vector.
         """
         normals = self(points)
         return F.normalize(normals, dim=1), normals.norm(dim=1).clamp(0, 1)

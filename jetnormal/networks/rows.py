@@ -1,4 +1,4 @@
-"""Row by row over large tensors: in chunks that stay in a core's cache, shared among threads."""
+"""Loops over the rows of large tensors, in chunks that fit into a core's cache, shared among threads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if hasattr(os, "register_at_fork"):
 def for_rows(work: Callable[[slice], object], count: int, chunk: int = CHUNK) -> None:
     """Call work(rows) for the rows 0 to count, in chunks whose size does not depend on the number of threads.
 
-    The threads are as many as `torch.get_num_threads`; inside, each has PyTorch to itself.
+    There are `torch.get_num_threads` threads; within each, PyTorch uses one thread.
     """
     chunks = [slice(start, min(start + chunk, count)) for start in range(0, count, chunk)]
     threads = min(torch.get_num_threads(), len(chunks))
@@ -44,9 +44,9 @@ def for_rows(work: Callable[[slice], object], count: int, chunk: int = CHUNK) ->
 
 
 def by_rows(function: Callable[[slice], Tensor], count: int, chunk: int = CHUNK) -> Tensor:
-    """function(rows) for the rows 0 to count of a result, put together.
+    """Compute function(rows) for the rows 0 to count, and concatenate the results.
 
-    While gradients are recorded that is a single call, otherwise `for_rows` makes the calls.
+    While gradients are recorded this is a single call, otherwise `for_rows` makes the calls.
     """
     if torch.is_grad_enabled() or count <= chunk:
         return function(slice(0, count))

@@ -1,4 +1,4 @@
-"""What rebuilds a CloudFit network."""
+"""Configuration of a CloudFit network, and the shapes of the parameters that it implies."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from jetnormal.errors import UsageError
 from jetnormal.support.options import Option, build
 
-NODE_FEATURES = 5  # of a point: three variances, the tilt and the length of the centroid
+NODE_FEATURES = 5  # of a neighborhood: three variances, the tilt and the length of the offset to its centroid
 COARSE_NEIGHBORS = 9  # of the next level that vote for a point
 FEATURES = 12  # invariants of an edge
 MAX_CHANNELS = 4096
@@ -19,7 +19,7 @@ BALLOTS = 3  # weights of a neighbor's votes: its offset, its normal, its normal
 
 @dataclass(frozen=True)
 class CloudFitConfig:
-    """What rebuilds a CloudFit network.
+    """Configuration of a CloudFit network.
 
     Raises:
         ValueError: if the levels disagree or a number is out of range.
@@ -49,7 +49,7 @@ class CloudFitConfig:
 
     @classmethod
     def from_description(cls, fields: dict[str, Any]) -> CloudFitConfig:
-        """The configuration that a model file holds as JSON.
+        """Make a configuration from the JSON of a model file.
 
         Raises:
             TypeError, ValueError: a field is unknown, missing or out of range.

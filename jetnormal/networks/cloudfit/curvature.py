@@ -30,9 +30,9 @@ def tangents(n: F32, first: F64, second: F64) -> None:
 def add_equations(x: F64, n: F32, at: NDArray[np.int64], xj: F64, nj: F32, nbr: I32, sums: F64) -> None:
     """Add the equations of one level's neighbors to the sums of each point.
 
-    x (N, 3) and n (N, 3) are the points, nbr (M, k) the neighbors among xj (m, 3) with normals nj (m, 3) of the place
-    at[i] that stands for point i. sums (N, 6) holds sum xx, xy, yy of the offsets (x, y) in the tangent plane, and
-    sum x u, x v + y u, y v of the turns (u, v) of the normal.
+    x (N, 3) and n (N, 3) are points and normals. Row at[i] of nbr (M, k) lists the neighbors of point i, among the m
+    points xj (m, 3) with normals nj (m, 3). sums (N, 6) holds sum xx, xy, yy of the offsets (x, y) in the tangent
+    plane, and sum x u, x v + y u, y v of the turns (u, v) of the normal.
     """
     first, second = np.empty(3), np.empty(3)
     for i in range(len(x)):
@@ -68,7 +68,7 @@ def principal(sums: F64) -> F32:
     xx, xy, yy, xu, mixed, yv = sums.T
     size = np.maximum(xx + yy, 1e-300)
     xx, xy, yy, xu, mixed, yv = (part / size for part in (xx, xy, yy, xu, mixed, yv))
-    xx, yy = xx + 1e-6, yy + 1e-6  # offsets in one line tell nothing of the bend across it
+    xx, yy = xx + 1e-6, yy + 1e-6  # offsets along one line do not determine the curvature across it
     # Cramer's rule for [[xx, xy, 0], [xy, xx + yy, xy], [0, xy, yy]] (a, b, c) = (xu, mixed, yv)
     both = xx + yy
     determinant = both * (xx * yy - xy * xy)

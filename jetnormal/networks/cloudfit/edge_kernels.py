@@ -1,4 +1,4 @@
-"""Compiled loops over the edges of a neighbor graph: each reads its edges once and keeps nothing per edge and channel.
+"""Compiled loops over the edges of a neighbor graph. Each reads its edges once and stores nothing per edge and channel.
 
 They run in one thread and release the interpreter lock: `networks.rows` shares the rows among threads.
 Arrays are C-contiguous: float32 unless said otherwise, neighbors int32. Twelve numbers describe an edge
@@ -73,7 +73,7 @@ def edge_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, out: F32) -> None:
 def edge_messages_backward(
     grad: F32, p: F32, u: F32, nbr: I32, q: F32, w: F32, grad_p: F32, grad_u: F32, grad_w: F32
 ) -> None:
-    """Add to the gradients of `edge_messages`' p, u and w what grad (N, C) sends back; the messages are recomputed."""
+    """Backpropagate grad (N, C) through `edge_messages`: add to the gradients of p, u, w; recompute the messages."""
     size = p.shape[1]
     half = size // 2
     share = np.float32(1 / nbr.shape[1])
@@ -167,7 +167,7 @@ def edge_mlp_backward(
     grad: F32, p: F32, r: F32, nbr: I32, q: F32, w: F32, v: F32,
     grad_p: F32, grad_r: F32, grad_w: F32, grad_v: F32, grad_b: F32,
 ) -> None:  # fmt: skip
-    """Add to the gradients of `edge_mlp`'s p, r, w, v, b what grad (N, k, 3) sends back; the values are recomputed."""
+    """Backpropagate grad (N, k, 3) through `edge_mlp`: add to the gradients of p, r, w, v, b; recompute the values."""
     size = p.shape[1]
     slope, back = np.empty(size, np.float32), np.empty(size, np.float32)
     of_v, of_w = np.zeros((3, size), np.float32), np.zeros((12, size), np.float32)

@@ -1,7 +1,7 @@
 """CloudFit without PyTorch: NumPy's matrix products around the compiled loops.
 
-To estimate normals on a CPU needs no gradients, and importing PyTorch takes longer than a network takes for a cloud of
-50,000 points. This is `network.CloudFit.forward` step by step; the tests hold both to the same result.
+Estimation on a CPU needs no gradients, and importing PyTorch takes longer than the network takes for 50,000
+points. This is `network.CloudFit.forward` step by step; tests check that both give the same result.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Surface:
 class Edges:
     """Edges to points from others: (N, k) neighbors and (N,) unit of length.
 
-    Their invariants are computed anew by each layer: that is quicker than to keep them in memory and read them again.
+    Each layer computes their invariants again, which is faster than keeping them in memory.
     """
 
     to: Surface
@@ -74,11 +74,11 @@ class Edges:
 
 @dataclass(frozen=True)
 class Found:
-    """What the network says of the N points of a cloud; see `network.CloudPrediction`.
+    """The output of the network for the N points of a cloud; see `network.CloudPrediction`.
 
     Attributes:
         normals: (N, 3) unit vectors of any sign.
-        rough: (N, 3) what they were before the last vote.
+        rough: (N, 3) the normals before the last vote.
         confidence: (N,) logit of the probability that a normal is off by less than 10 degrees.
         levels: (n, 3) normals of each level of the pyramid.
     """
@@ -131,7 +131,7 @@ class Inference:
 
 
 class _Pass:
-    """One pass of the network over a cloud; methods are called as the modules of `network.CloudFit`."""
+    """One pass of the network over a cloud; the methods have the names of the modules of `network.CloudFit`."""
 
     def __init__(self, config: CloudFitConfig, weights: dict[str, F32], pool: ThreadPoolExecutor) -> None:
         self._config = config

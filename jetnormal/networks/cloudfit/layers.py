@@ -103,7 +103,7 @@ class EdgeConv(nn.Module):
 
 
 class EdgeWeights(nn.Module):
-    """A small function of both ends and the invariants of an edge, with `outputs` results."""
+    """A small network from the features of both ends and the invariants of an edge to `outputs` numbers."""
 
     def __init__(self, channels: int, sender_channels: int, hidden: int, outputs: int) -> None:
         super().__init__()
@@ -113,21 +113,21 @@ class EdgeWeights(nn.Module):
         self.out = nn.Linear(hidden, outputs)
 
     def project(self, sender: Tensor) -> Tensor:
-        """(M, hidden) what senders with (M, C') features contribute."""
+        """(M, hidden) the part of the sum that senders with (M, C') features contribute."""
         return by_rows(lambda rows: self.sender(sender[rows]), len(sender))
 
     def forward(self, h: Tensor, sent: Tensor, neighbors: Tensor, features: Tensor) -> Tensor:
-        """(N, k, outputs) from (N, C) own features and what `project` made of the senders'."""
+        """(N, k, outputs) from (N, C) own features and the output of `project` for the senders."""
         return edge_mlp(self.own(h), sent, self.edge, self.out.weight, self.out.bias, neighbors, features)
 
 
 class ZDirection(nn.Module):
-    """The normals of points by a vote of neighbors (`vote_ops.votes`) and of the normals that the points have.
+    """Vote for the normals of points: by their neighbors (`vote_ops.votes`) and by the normals that they have so far.
 
     Args:
         channels: features of the points that vote for their own normals.
         sender_channels: features of the neighbors, for each set of them.
-        hidden: channels of the functions that weigh the votes.
+        hidden: channels of the small networks that weigh the votes.
     """
 
     def __init__(self, channels: int, sender_channels: tuple[int, ...], hidden: int) -> None:

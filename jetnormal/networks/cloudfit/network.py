@@ -6,8 +6,8 @@ learned weights, its offset (a weighted plane), its normal, and its normal mirro
 (on a sphere, the point's own normal: a weighted jet of second order). The normals of a level are where those of the
 next finer level start from, as the z-direction is where the paper's fit starts from.
 
-Everything is made of quantities that no rotation, translation, scaling, permutation or choice of the normals' signs
-changes (`layers.connect`), so the result turns with the cloud exactly.
+All inputs are invariant to rotation, translation and scaling of the cloud, to the order of its points and to the signs
+of the normals (`layers.connect`), so the result rotates with the cloud exactly.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from jetnormal.networks.rows import by_rows
 
 @dataclass(frozen=True)
 class CloudPrediction:
-    """What the network says of the N points of a cloud; normals are unit vectors of any sign.
+    """The output of the network for the N points of a cloud; normals are unit vectors of any sign.
 
     Attributes:
         normals: (N, 3) voted for by the neighbors.
-        rough: (N, 3) what they were before the last vote: interpolated from the next coarser level.
+        rough: (N, 3) the normals before the last vote, interpolated from the next coarser level.
         confidence: (N,) logit of the probability that a normal is off by less than 10 degrees.
         directions: (n, 3) normals found on the way, the coarsest first, each with the (n,) int64 points of the cloud
             that its points come from.
@@ -122,7 +122,7 @@ class CloudFit(nn.Module):
         return CloudPrediction(normals, rough, confidence, directions, nodes)
 
     def _sure(self, h: Tensor, normals: Tensor, rough: Tensor) -> Tensor:
-        """(n,) confidence of points: of their features and of how far the last vote moved the normal."""
+        """(n,) confidence of points, from their features and from how far the last vote moved the normal."""
 
         def rate(rows: slice) -> Tensor:
             change = 1 - (normals[rows] * rough[rows]).sum(1, keepdim=True).abs()
@@ -147,7 +147,7 @@ class CloudFit(nn.Module):
         return features
 
     def _embedded(self, number: int, neighborhood: Neighborhood, nodes: Nodes) -> Tensor:
-        """(n, C) first features of points: of the shape of their neighborhoods alone."""
+        """(n, C) first features of points, from the shape of their neighborhoods alone."""
         variance = self._tensor(neighborhood.variance)
 
         def embed(rows: slice) -> Tensor:
@@ -171,7 +171,7 @@ class CloudFit(nn.Module):
     def _carry(self, carried: Neighborhood, level: Nodes, h: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Normals, first normals and confidence of the points that the finest level leaves out.
 
-        A near-duplicate has the normal of the point that it repeats.
+        A near-duplicate gets the normal of the point that it repeats.
         """
         here = Nodes.of(carried, self.device)
         rough = level.normals[here.neighbors[:, 0].long()]

@@ -46,11 +46,11 @@ class AdaFit(WeightPredictor):
 
 
 class ScaleAggregation(nn.Module):
-    """One step of the cascade: the nearest points of a scale go on, with a summary of the whole scale.
+    """One step of the cascade: keep the nearest points of a scale, each with a summary of the whole scale.
 
     Args:
         inputs: channels of a point.
-        outputs: channels of a point that goes on.
+        outputs: channels of a point that is kept.
         outer: channels of the summary of the larger scale, 0 if there is none.
     """
 

@@ -12,8 +12,8 @@ from jetnormal.networks.patchfit.layers import PointLayer
 class NormalError(nn.Module):
     """Add a residual in (-1, 1)^3 to the rough normal, and normalize: n = n_c + phi([features, n_c]).
 
-    The residual of the query comes from the patch's pooled features, those of its neighbors, which only training asks
-    for, from their own.
+    The residual of the query is computed from the pooled features of the patch. In training, the residuals of its
+    neighbors are computed from their own features.
     """
 
     def __init__(self, channels: int, hidden: int = 64) -> None:

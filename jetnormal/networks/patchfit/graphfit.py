@@ -79,7 +79,7 @@ class GraphLayer(nn.Module):
 
 
 class Edges(nn.Module):
-    """Two layers on the edges [neighbor - center, center] of a graph; the caller applies the last."""
+    """Two layers on the edges [neighbor - center, center] of a graph; the caller applies the second."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -87,7 +87,7 @@ class Edges(nn.Module):
         self.last = _edge_layer(channels, channels)
 
     def parts(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """What the first linear map gives of (B, n, C) features as neighbors and as centers: two (B n, C).
+        """The first linear map of (B, n, C) features, as neighbors and as centers: two (B n, C).
 
         W [n - c, c] = W1 n + (W2 - W1) c: one product a point instead of one an edge.
         """
@@ -103,7 +103,7 @@ class Edges(nn.Module):
 
 
 class AdaptiveGate(nn.Module):
-    """Mix two features of each point by one share a channel, read from the mean of their sum over the patch."""
+    """Mix two features of each point by one share per channel, computed from the mean of their sum over the patch."""
 
     def __init__(self, channels: int, reduction: int = 8) -> None:
         super().__init__()

@@ -35,7 +35,7 @@ def farthest_points(points: NDArray[np.float32], kept: NDArray[np.int64]) -> Non
 @compiled
 def smallest(scores: NDArray[np.float32], found: NDArray[np.int64]) -> None:
     """Fills found (R, k) with the columns of the k smallest of each row of scores (R, n), ascending; of equals, the
-    first. It beats a general selection where k is much smaller than n."""
+    first. This is faster than a general selection where k is much smaller than n."""
     rows, k = found.shape
     n = scores.shape[1]
     kept = np.empty(k, np.float32)

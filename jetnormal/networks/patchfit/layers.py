@@ -70,24 +70,24 @@ class PointLayer(nn.Module):
         return isinstance(self.norm, nn.Identity)
 
     def _products(self, shared: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
-        """What the linear map gives of both parts of its input."""
+        """The products of the linear map with both parts of its input."""
         ours, theirs = self.linear.weight.split([shared.shape[-1], features.shape[-1]], dim=1)
         once = nn.functional.linear(shared, ours, self.linear.bias)
         return once, nn.functional.linear(features, theirs)
 
 
 def maximum(features: Tensor, axis: int) -> Tensor:
-    """Take the maximum over an axis: by amax, which is faster, or with gradients by max, which remembers the place."""
+    """Take the maximum over an axis: by amax, which is faster; for gradients by max, which keeps the index."""
     return features.max(axis).values if features.requires_grad else features.amax(axis)
 
 
 def linear_peak(linear: nn.Linear, features: Tensor) -> Tensor:
-    """The maximum of a linear map with a bias over the points, (..., k, C_in) to (..., C_out); the bias comes last."""
+    """The maximum over the points of a linear map with a bias, (..., k, C_in) to (..., C_out); the bias comes last."""
     return maximum(nn.functional.linear(features, linear.weight), -2) + linear.bias
 
 
 def full_precision(tensor: Tensor) -> torch.autocast:
-    """Switch automatic mixed precision off inside the block, for what needs full precision."""
+    """Switch automatic mixed precision off inside the block."""
     return torch.autocast(tensor.device.type, enabled=False)
 
 
@@ -151,7 +151,8 @@ class AdaptivePooling(nn.Module):
     """Adaptive graph pooling (AdaGP; Yan et al., FBNet, 2022): fewer points, each an attentive mean of 8 neighbors.
 
     Per channel, softmax over the neighbors of attention(query - feature + position) weighs feature + position.
-    The points kept are a farthest point sampling or, at a fraction of its cost, every n-th by distance from the query.
+    The points kept are a farthest point sampling or, at a fraction of its cost, every n-th in order of distance from
+    the query.
     """
 
     def __init__(self, channels: int, points: int, k: int = 8, farthest: bool = True) -> None:

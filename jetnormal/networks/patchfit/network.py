@@ -21,7 +21,7 @@ MAX_WIDTH = 16  # times the published channels
 
 @dataclass(frozen=True)
 class PatchFitConfig:
-    """What rebuilds a PatchFit network.
+    """Configuration of a PatchFit network.
 
     Raises:
         ValueError: if a number is out of range.
@@ -73,7 +73,7 @@ def _small(config: PatchFitConfig) -> PatchFitConfig:
 
 CONFIGS = {
     "paper": _PAPER,
-    # What two CPU cores train in hours; GraphFit on half of its points, for its edges cost most.
+    # Two CPU cores train these in hours. GraphFit has half of its points, because its edges cost most.
     "small": {
         "deepfit": _small(_PAPER["deepfit"]),
         "adafit": _small(_PAPER["adafit"]),
@@ -131,8 +131,9 @@ class PatchFit(nn.Module):
 
         Args:
             points: (B, k, 3) patches in their own frame (`geometry.patches`).
-            iterations: from the second on, the normal found replaces the learned transform: the patch is turned until
-                it meets z, and weights, fit and correction run again (the paper's iterative estimation).
+            iterations: number of fits. From the second on, the normal found so far replaces the learned transform: the
+                patch is rotated until this normal is z, and weights, fit and correction run again (the paper's
+                iterative estimation).
             neighbors: whether to predict the neighbors' normals too, for training.
         """
         prediction = self._fit(points, self.transform(points), neighbors)

@@ -31,8 +31,10 @@ class Weighting:
 
 
 class WeightPredictor(nn.Module):
-    """The tail of every weight predictor: a weight, and perhaps an offset, of each point, from its own features and
-    those of its patch (AdaFit's offsets: Zhu et al., ICCV 2021).
+    """Base of the weight predictors: their last layers.
+
+    These compute a weight of each point, and perhaps an offset (AdaFit: Zhu et al., ICCV 2021), from its own features
+    and those of its patch.
 
     A subclass builds its trunk, calls `add_head`, and ends its forward pass with `read`.
 

@@ -17,8 +17,8 @@ class ZTransform(nn.Module):
     Three edge convolutions with two adaptive graph poolings to 128 and 64 points, the maximum and the mean over the
     points, three fully connected layers to a quaternion. The last one starts at zero: the identity.
 
-    The light form sees every second point of the patch and pools to 64 and 32 by equal steps through the order of
-    distance, instead of by farthest point sampling: a quarter of the cost.
+    The light form takes every second point of the patch. It pools to 64 and 32 points in equal steps of the order of
+    distance instead of by farthest point sampling. It costs a quarter.
     """
 
     def __init__(self, width: float = 1.0, light: bool = False) -> None:
