@@ -137,6 +137,7 @@ class _Pass:
         self._config = config
         self._w = weights
         self._pool = pool
+        self._scratch: dict[int, F32] = {}
 
     def run(self, pyramid: Pyramid, iterations: int) -> Found:
         levels = pyramid.levels
@@ -148,14 +149,15 @@ class _Pass:
             if number + 1 < len(levels):
                 above, parents = surfaces[number + 1], levels[number].parents
                 edges = Edges(here, above, parents, levels[number + 1].scale[parents[:, 0]])
-                h[number] = self._edge_conv(f"unpool.{number}", h[number], h[number + 1], edges)
+                self._edge_conv(f"unpool.{number}", h[number], h[number + 1], edges)
                 rough = self._vote(f"interpolate.{number}", h[number], here, [(h[number + 1], above, edges)])
                 here = here.turned(rough)
             edges = Edges(here, here, levels[number].neighbors, levels[number].scale)
             for layer in range(self._config.down_layers[number]):
-                h[number] = self._edge_conv(f"down.{number}.{layer}", h[number], h[number], edges)
+                self._edge_conv(f"down.{number}.{layer}", h[number], h[number], edges)
             normals = self._last_vote(number, levels, h, here, surfaces, edges)
             surfaces[number] = here.turned(normals)
+            del h[number + 2 :]  # nobody asks for them any more
         for _ in range(1, iterations):
             edges = Edges(surfaces[0], surfaces[0], levels[0].neighbors, levels[0].scale)
             rough, normals = normals, self._last_vote(0, levels, h, surfaces[0], surfaces, edges)
@@ -171,16 +173,16 @@ class _Pass:
     def _ascend(self, levels: list[Level], surfaces: list[Surface]) -> list[F32]:
         features: list[F32] = []
         for number, here in enumerate(surfaces):
-            h = self._embed(number, here)
+            h = self._embed(number, here)  # each layer writes over it
             if number:
                 below, chosen = surfaces[number - 1], levels[number - 1].chosen
                 own = _with_itself(chosen, levels[number - 1])
                 edges = Edges(here, below, own, levels[number - 1].scale[chosen])
-                h = self._edge_conv(f"pool.{number - 1}", h, features[number - 1], edges)
+                self._edge_conv(f"pool.{number - 1}", h, features[number - 1], edges)
             if self._config.up_layers[number]:
                 edges = Edges(here, here, levels[number].neighbors, levels[number].scale)
                 for layer in range(self._config.up_layers[number]):
-                    h = self._edge_conv(f"up.{number}.{layer}", h, h, edges)
+                    self._edge_conv(f"up.{number}.{layer}", h, h, edges)
             features.append(h)
         return features
 
@@ -213,7 +215,7 @@ class _Pass:
         features = self._embed(0, shape)
         here = shape.turned(rough)
         edges = Edges(here, level, carried.neighbors, carried.scale)
-        features = self._edge_conv("carry", features, h, edges)
+        self._edge_conv("carry", features, h, edges)
         normals = self._vote("carried_direction", features, here, [(h, level, edges)])
         apart = np.linalg.norm(carried.positions - level.neighborhood.positions[nearest], axis=1)
         normals = np.where((apart <= SAME * level.neighborhood.scale[nearest])[:, None], rough, normals)
@@ -227,25 +229,31 @@ class _Pass:
 
         return self._by_rows(rate, len(h), ())
 
-    def _edge_conv(self, name: str, h: F32, sender: F32, edges: Edges) -> F32:
-        """See `layers.EdgeConv`."""
-        sent = self._product(f"{name}.sender", sender)
+    def _edge_conv(self, name: str, h: F32, sender: F32, edges: Edges) -> None:
+        """Writes what `layers.EdgeConv` makes of the features h over them."""
+        pools = len(sender) > len(h)
+        sent = None if pools else self._product(f"{name}.sender", sender)
         weight, gain, shift = (self._w[f"{name}.{key}"] for key in ("edge", "norm.weight", "norm.bias"))
 
-        def layer(rows: slice) -> F32:
+        def layer(rows: slice) -> None:
             own = self._linear(f"{name}.own", h[rows])
-            messages = np.empty_like(own)
-            edge_kernels.edge_messages(own, sent, edges.neighbors[rows], edges.features(rows), weight, messages)
+            messages, neighbors, contribution = np.empty_like(own), edges.neighbors[rows], sent
+            if contribution is None:  # for all senders at once, it would be the largest array of all
+                used, inverse = np.unique(neighbors, return_inverse=True)
+                neighbors = inverse.reshape(neighbors.shape).astype(np.int32)
+                contribution = sender[used] @ self._w[f"{name}.sender.weight"].T
+            edge_kernels.edge_messages(own, contribution, neighbors, edges.features(rows), weight, messages)
             edge_kernels.layer_norm(messages, gain, shift)
-            return h[rows] + self._linear(f"{name}.out", messages)
+            h[rows] += self._linear(f"{name}.out", messages)
 
-        return self._by_rows(layer, len(h), (h.shape[1],))
+        self._for_rows(layer, len(h))
 
     def _vote(self, name: str, h: F32, to: Surface, senders: list[tuple[F32, Surface, Edges]]) -> F32:
         """See `layers.ZDirection`."""
         names = [f"{name}.weights.{number}" for number in range(len(senders))]
         sent = [
-            self._product(f"{part}.sender", features) for part, (features, _, _) in zip(names, senders, strict=True)
+            self._product(f"{part}.sender", features, place)
+            for place, (part, (features, _, _)) in enumerate(zip(names, senders, strict=True))
         ]
         positions = to.neighborhood.positions
 
@@ -276,9 +284,18 @@ class _Pass:
     def _linear(self, name: str, x: F32) -> F32:
         return x @ self._w[f"{name}.weight"].T + self._w[f"{name}.bias"]
 
-    def _product(self, name: str, x: F32) -> F32:
+    def _product(self, name: str, x: F32, place: int = 0) -> F32:
+        """x (N, C) times a matrix, in memory that the next product of the same place writes over.
+
+        The system takes as long to give new memory for a large cloud as a layer takes to fill it.
+        """
         weight = self._w[f"{name}.weight"]
-        return self._by_rows(lambda rows: x[rows] @ weight.T, len(x), (len(weight),))
+        size = len(x) * len(weight)
+        if place not in self._scratch or self._scratch[place].size < size:
+            self._scratch[place] = np.empty(size, np.float32)
+        out = self._scratch[place][:size].reshape(len(x), len(weight))
+        self._for_rows(lambda rows: np.matmul(x[rows], weight.T, out=out[rows]), len(x))
+        return out
 
     def _for_rows(self, work: Callable[[slice], object], count: int) -> None:
         """Call work(rows) for the rows 0 to count, in chunks whose size does not depend on the number of threads."""
