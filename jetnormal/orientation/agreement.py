@@ -168,18 +168,46 @@ def couplings(surface: Surface, patch: Ints, flips: Bools) -> Any:
     return net.multiply(abs(net)).multiply(total.power(-1)).tocsr()
 
 
-def relax(coupling: Any, votes: Floats, *, steps: int = 400, tolerance: float = 1e-6) -> Floats:
+@dataclass(frozen=True)
+class LeastSquares:
+    """The sum of weight_r ((matrix @ x)_r - target)^2, for a dense (R, M) matrix and weights (R,)."""
+
+    matrix: NDArray[np.float32]
+    weight: Floats
+    target: float
+
+    def diagonal(self) -> Floats:
+        """Of the quadratic form (M,)."""
+        return np.asarray(self.weight @ np.square(self.matrix))
+
+    def votes(self) -> Floats:
+        """The linear form (M,)."""
+        return np.asarray((self.weight * self.target).astype(np.float32) @ self.matrix, dtype=np.float64)
+
+    def image(self, x: Floats) -> Floats:
+        """The quadratic form's matrix times x (M,)."""
+        values = self.matrix @ x.astype(np.float32)
+        return np.asarray((self.weight * values).astype(np.float32) @ self.matrix, dtype=np.float64)
+
+
+def relax(
+    coupling: Any, votes: Floats, demand: LeastSquares | None = None, *, steps: int = 400, tolerance: float = 1e-6
+) -> Floats:
     """Signs of patches by how they are coupled and what they are told, as numbers between -1 and 1.
 
-    Minimizes the sum of |W_ab| (x_a - sign(W_ab) x_b)^2 / 2 and |u_a| (x_a - sign(u_a))^2 by conjugate gradients.
-    Where nothing contradicts, |x| is 1; what contradicts itself comes near 0.
+    Minimizes the sum of |W_ab| (x_a - sign(W_ab) x_b)^2 / 2, |u_a| (x_a - sign(u_a))^2 and a demand by conjugate
+    gradients. Where nothing contradicts, |x| is 1; what contradicts itself comes near 0.
 
     Args:
         coupling: W, a symmetric sparse (M, M) matrix.
         votes: u, (M,).
+        demand: what else x has to meet.
     """
-    degree = np.asarray(abs(coupling).sum(axis=1)).ravel() + np.abs(votes)
-    degree[degree == 0] = 1
+    own = np.asarray(abs(coupling).sum(axis=1)).ravel() + np.abs(votes)
+    degree = own
+    if demand is not None:
+        degree, votes = own + demand.diagonal(), votes + demand.votes()
+    degree = np.where(degree == 0, 1, degree)
     x = np.zeros(len(votes))
     residual = votes.copy()
     step = scaled = residual / degree
@@ -188,7 +216,9 @@ def relax(coupling: Any, votes: Floats, *, steps: int = 400, tolerance: float = 
     for _ in range(steps):
         if energy <= stop:
             break
-        image = degree * step - coupling @ step
+        image = own * step - coupling @ step
+        if demand is not None:
+            image += demand.image(step)
         length = energy / (step * image).sum()
         x += length * step
         residual = residual - length * image

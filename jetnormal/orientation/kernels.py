@@ -239,6 +239,24 @@ def solid_angles(places: Floats, points: Floats, moments: Floats, softening: Flo
 
 
 @compiled
+def add_windings(
+    places: Floats, receiver: Ints, points: Floats, moments: Floats, softening: Floats, sender: Ints, total: Any
+) -> None:
+    """Add the solid angles of oriented points (N, 3), see `solid_angles`, at places (Q, 3) to total (R, S), float32.
+
+    receiver (Q,) and sender (N,): the row and the column to which a place and a point belong.
+    """
+    for q in range(len(places)):
+        for i in range(len(points)):
+            squared, flux = softening[i], 0.0
+            for axis in range(3):
+                step = points[i, axis] - places[q, axis]
+                squared += step * step
+                flux += moments[i, axis] * step
+            total[receiver[q], sender[i]] += flux / (squared * np.sqrt(squared))
+
+
+@compiled
 def grid_axis(coordinate: float, corner: float, cell: float, cells: int) -> Any:
     """The two places around a coordinate along one axis of a periodic grid, each with its linear weight."""
     position = (coordinate - corner) / cell

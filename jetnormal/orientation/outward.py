@@ -4,7 +4,8 @@
 2. Each connected component is looked at from all around (`visibility.look`): whoever sees a closed surface stands
    outside of it. A component that both sides of are seen, alone and among the others, is open: it has no outside.
 3. Couplings and votes are weighed in one linear system. Couplings that agree with each other count far more: where
-   scanners left holes, one sees the inside of much of a surface, but hardly a coupling is wrong.
+   scanners left holes, one sees the inside of much of a surface, but hardly a coupling is wrong. Where noise is as
+   large as the spacing, couplings join the two sides of walls; there, winding numbers count as well (`winding`).
 4. A component inside the matter of another is the wall of a cavity, and is turned inward.
 5. An open surface is turned up.
 6. Where noise is not small against the spacing, the field of all normals (`dipole_field`) corrects single points.
@@ -23,6 +24,7 @@ from jetnormal.orientation.kernels import solid_angles
 from jetnormal.orientation.parts import Parts, divide
 from jetnormal.orientation.single_view import Outcome, View, as_seen
 from jetnormal.orientation.visibility import VIEWS, Votes, look
+from jetnormal.orientation.winding import settle_by_winding
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -54,7 +56,7 @@ def turn_outward(surface: Surface, *, views: bool = False) -> Outcome:
     flips, parts = divide(surface)
     surface.turn(flips)
     votes, is_open = _vote(surface, parts)
-    belief = _weigh(surface, votes, parts)
+    belief = _weigh(surface, votes, parts, is_open)
     belief = np.where(_in_matter(surface, parts, belief, is_open)[parts.owner], -belief, belief)
     view = None
     if is_open.any():
@@ -115,8 +117,8 @@ def _purity(votes: Votes, parts: Parts) -> Floats:
     return parts.by_component(np.abs(votes.outward)) / np.where(total > 0, total, 1)
 
 
-def _weigh(surface: Surface, votes: Votes, parts: Parts) -> Floats:
-    """Find signs of patches (M,), -1 to 1, by the couplings and the votes.
+def _weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Floats:
+    """Find signs of patches (M,), -1 to 1, by the couplings and the votes; where noise drowns them, by the winding too.
 
     A patch with votes for both sides says little.
     """
@@ -128,9 +130,15 @@ def _weigh(surface: Surface, votes: Votes, parts: Parts) -> Floats:
     belief = relax(parts.coupling, SURE_WEIGHT * told)
     signs = np.where(belief < 0, -1.0, 1.0)
     denied = parts.by_component((strength - signs * (parts.coupling @ signs)) / 2)
-    drowned = parts.by_component(parts.by_patch(surface.roughness > DROWNED * surface.spacing))
-    doubtful = (denied > CONTRADICTION * parts.by_component(strength)) | (2 * drowned > parts.sizes)
-    return relax(parts.coupling, np.where(doubtful, DOUBTFUL_WEIGHT, SURE_WEIGHT)[parts.owner] * told)
+    drowned = 2 * parts.by_component(parts.by_patch(surface.roughness > DROWNED * surface.spacing)) > parts.sizes
+    doubtful = (denied > CONTRADICTION * parts.by_component(strength)) | drowned
+    told *= np.where(doubtful, DOUBTFUL_WEIGHT, SURE_WEIGHT)[parts.owner]
+    belief = relax(parts.coupling, told)
+    for c in np.flatnonzero(drowned & ~is_open & ~parts.speck):
+        mine, rows = np.flatnonzero(parts.owner == c), np.flatnonzero(parts.component == c)
+        region, coupling = np.searchsorted(mine, parts.patch[rows]), parts.coupling[mine][:, mine]
+        belief[mine] = settle_by_winding(surface, rows, region, coupling, told[mine], belief[mine])
+    return belief
 
 
 def _in_matter(surface: Surface, parts: Parts, belief: Floats, is_open: Bools) -> Bools:
