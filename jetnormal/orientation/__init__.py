@@ -1,1 +1,1 @@
-"""The signs of normals: which side of the surface each one shows."""
+"""The signs of normals: which of its two directions each normal takes."""

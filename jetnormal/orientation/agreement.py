@@ -1,9 +1,9 @@
-"""Which neighbors agree in their signs, and patches of points in which all do.
+"""Agreement of the signs of neighbors, and patches of points whose signs all agree.
 
 The edge test is the mirror test of Xie et al., "Piecewise C1 continuous surface reconstruction of noisy point clouds
 via local implicit quadric regression" (2003). It is right across sharp edges and between the sides of thin plates,
-where n.n' of Hoppe et al., "Surface reconstruction from unorganized points" (1992) is a tie or wrong. With growing
-noise the mirror test becomes unreliable, so it is blended back to n.n'.
+where the test n.n' of Hoppe et al., "Surface reconstruction from unorganized points" (1992) is undecided or wrong. With
+growing noise the mirror test becomes unreliable, so it is blended back to n.n'.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ REVOTES = 3
 
 
 class Surface:
-    """Distinct points, their directions, and what the neighbor graph says about them.
+    """Distinct points, their directions, and the graph of their neighbors.
 
     Attributes:
         points, normals: (N, 3), N >= 1; the normals are unit vectors of any sign.
@@ -48,7 +48,8 @@ class Surface:
         radius: (N,) distance of the farthest of these.
         spacing: (N,) distance between points on a flat surface of the density found there.
         roughness: (N,) noise, as a height over the tangent plane; it levels off as noise exceeds the spacing.
-        edges: (N, k) how sure the signs of a point and its neighbors agree (`kernels.edge_agreement`), 0 from strays.
+        edges: (N, k) agreement of the signs of a point and its neighbors (`kernels.edge_agreement`); 0 from stray
+            points.
         lengths: (N, k) of the edges.
     """
 
@@ -71,7 +72,7 @@ class Surface:
         return np.asarray(rank[self.neighbors].mean(axis=1))
 
     def turn(self, flips: Bools) -> None:
-        """Turns the normals (N,) that are to flip."""
+        """Turn the normals (N,) that are to flip."""
         turn_all(flips, self.neighbors, self.normals, self.edges)
 
 
@@ -100,7 +101,7 @@ def patch_forest(coupling: Any) -> Forest:
 
 
 def rooted(forest: Forest) -> tuple[Ints, Ints, Ints]:
-    """A forest with one more node M above the roots of all its trees, so that one search from it visits every node.
+    """Join the trees of a forest by one more node M above their roots, so that one search from it visits every node.
 
     Returns:
         The M + 1 nodes from the top down, level by level; the parent of each node (M + 1,), M being its own; and the
@@ -135,7 +136,7 @@ def spread_signs(forest: Forest) -> tuple[Bools, Ints]:
 
 
 def patches(surface: Surface) -> tuple[Bools, Ints]:
-    """Find patches of up to `PATCH_POINTS` points that hang together by sure edges, the surest first.
+    """Find patches of up to `PATCH_POINTS` points that sure edges connect; the surest edges are taken first.
 
     Returns:
         Which normals (N,) to flip so that they are consistent in every patch, and each point's patch (N,).
@@ -152,8 +153,8 @@ def patches(surface: Surface) -> tuple[Bools, Ints]:
 def couplings(surface: Surface, patch: Ints, flips: Bools) -> Any:
     """How far patches agree, a symmetric sparse (M, M) matrix.
 
-    It is the sum of c |c| over the edges c between two patches, times its share of what the sum would be if they all
-    agreed: many edges of two minds say less than a few of one. flips (N,): which normals are taken as flipped.
+    It is the sum of c |c| over the edges c between two patches, times the ratio of this sum to the sum of c^2: many
+    edges that contradict each other count less than a few that agree. flips (N,): which normals are taken as flipped.
     """
     from scipy.sparse import coo_matrix
 
@@ -193,10 +194,10 @@ class LeastSquares:
 def relax(
     coupling: Any, votes: Floats, demand: LeastSquares | None = None, *, steps: int = 400, tolerance: float = 1e-6
 ) -> Floats:
-    """Signs of patches by how they are coupled and what they are told, as numbers between -1 and 1.
+    """Find the signs of patches from couplings and votes, as numbers between -1 and 1.
 
     Minimizes the sum of |W_ab| (x_a - sign(W_ab) x_b)^2 / 2, |u_a| (x_a - sign(u_a))^2 and a demand by conjugate
-    gradients. Where nothing contradicts, |x| is 1; what contradicts itself comes near 0.
+    gradients. Where all of them are consistent, |x| is 1; where they contradict each other, it comes near 0.
 
     Args:
         coupling: W, a symmetric sparse (M, M) matrix.
@@ -229,7 +230,7 @@ def relax(
 
 
 def revote(surface: Surface) -> Floats:
-    """Turns points that most of their neighbors contradict; returns how far these agree then (N,), 0 to 1."""
+    """Turn points that most of their neighbors contradict; return how far the neighbors agree then (N,), 0 to 1."""
     for _ in range(REVOTES):
         surface.turn((surface.edges * np.abs(surface.edges)).sum(axis=1) < 0)
     squares = np.square(surface.edges)

@@ -1,12 +1,12 @@
-"""Confidence as a probability: how often a sign is right for which nothing but its own evidence is known.
+"""Confidence of signs as a probability.
 
-The methods tell how sure they are by numbers that rank signs well but are no probabilities. Here a rising curve, one
-for each kind of evidence, turns them into the share of right signs that was measured: on procedural solids as PCPNet's
-six categories have them, on simulated scans of other such solids, and on simulated rooms, streets and country, each
-cloud counting the same. On shapes that a curve was not fitted to, the expected calibration error fell from 0.14 to 0.03
-(outward), from 0.12 to 0.02 (mst) and from 0.34 to 0.002 (viewpoint); on eight noisy meshes, thin plates among them,
-from 0.19 to 0.015 (outward). With terrain and single views, whole clouds are right or wrong; the few that there were
-left it as it was (0.02 and 0.13).
+The methods return scores that rank signs well but are no probabilities. An increasing curve, one for each kind of
+evidence, maps a score to the share of right signs that was measured: on procedural solids in PCPNet's six categories,
+    on simulated scans of other solids, and on simulated rooms, streets and terrain, each cloud with the same weight. On
+    shapes that a curve was not fitted to, the expected calibration error fell from 0.14 to 0.03 (outward), from 0.12 to
+    0.02 (mst) and from 0.34 to 0.002 (viewpoint); on eight noisy meshes, thin plates among them, from 0.19 to 0.015
+    (outward). For terrain and single views the calibration did not change it (0.02 and 0.13): there whole clouds are
+    right or wrong, and there were few.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ RIGHT_SIGHT = (0.7, 0.88, 0.977, 0.984, 0.992, 0.993, 0.997, 0.997, 0.9995)
 
 
 def probability(sure: NDArray[Any], kind: Kind) -> NDArray[np.float64]:
-    """Find how probably signs are right (N,), 0.5 to 1.
+    """Find the probability that each sign is right (N,), 0.5 to 1.
 
     Args:
-        sure: (N,) how sure a method is, 0 to 1; for "sight", the cosine between normal and sight line.
-        kind: the evidence. Of a "guess", nothing tells whether it is right.
+        sure: (N,) score of the method, 0 to 1; for "sight", the cosine between normal and sight line.
+        kind: of the evidence. "guess": there is none.
     """
     if kind == "guess":
         return np.full(len(sure), 0.5)

@@ -1,8 +1,8 @@
-"""Signs of a thinned cloud, carried to points of the whole cloud.
+"""Carry the signs of a thinned cloud to the points of the whole cloud.
 
-The nearest oriented point may lie on the other side of a thin part. So points first join to the patches in which all
-signs agree, as for the signs of a whole cloud; oriented points that belong to a patch tell its sign, and couplings
-between patches carry it to those that hold none.
+The nearest oriented point may lie on the other side of a thin part. So points are first joined to patches in which all
+signs agree, as for a whole cloud. The oriented points in a patch vote for its sign, and couplings between patches carry
+it to patches that hold no oriented point.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Thinned:
         return NeighborIndex(self.points)
 
     def votes(self, points: Floats, normals: Floats) -> tuple[Floats, Bools]:
-        """What the thinned cloud says of directions (N, 3): votes (N,) for their signs, and which points it holds."""
+        """Votes (N,) of the thinned cloud for the signs of directions (N, 3), and which of the points it holds."""
         near, distances = self.index.query(points, min(NEAREST, len(self.points)))
         cosine = np.einsum("nd,nkd->nk", normals, self.normals[near])
         votes = HEARSAY * (cosine * np.abs(cosine) * self.sure[near]).mean(axis=1)
@@ -57,12 +57,12 @@ def carry_signs(points: Floats, normals: Floats, thinned: Thinned) -> tuple[Bool
     """Find the signs of points by those of a thinned cloud.
 
     Args:
-        points: (N, 3) different, finite points; where the thinned cloud has points among them, they tell most.
+        points: (N, 3) different, finite points; those that are in the thinned cloud as well count most.
         normals: (N, 3) directions of any sign; NaN where there is none.
-        thinned: what is known.
+        thinned: the oriented points.
 
     Returns:
-        Which normals (N,) to flip, and how sure each sign is, 0 to 1.
+        Which normals (N,) to flip, and how sure each sign is (N,), 0 to 1.
     """
     flips, sure = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points))
     rows = np.flatnonzero(np.isfinite(normals).all(axis=1))

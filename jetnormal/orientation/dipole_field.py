@@ -39,7 +39,7 @@ def contradicted(surface: Surface, label: Ints) -> tuple[NDArray[np.bool_], Floa
         label: (N,) the object of each, or -1: it is left alone.
 
     Returns:
-        Which normals to flip (N,), and how sure the field is of each sign then (N,), 0 to 1; 1 where it was not asked.
+        Which normals to flip (N,), and how sure the field is of each sign then (N,), 0 to 1; 1 where it was not used.
     """
     strength = np.ones(len(label))
     noisy = (surface.roughness > NOISY * surface.spacing) & (label >= 0)
@@ -70,7 +70,7 @@ def _field_strength(points: Floats, normals: Floats, spacing: Floats, noisy: NDA
 
 
 def _cells(points: Floats, spacing: Floats) -> int:
-    """Cells along a field's side: as many as the spacing asks for, but not many more in all than there are points."""
+    """Cells along a field's side: as the spacing requires, but in all not many more than there are points."""
     from scipy.fft import next_fast_len
 
     extent = float(np.ptp(points, axis=0).max())
@@ -114,7 +114,7 @@ class DipoleField:
 
 
 def _response(cells: int) -> NDArray[np.float32]:
-    """The field of a charge of one, smoothed, at the wave numbers of a grid with sides and cells of one."""
+    """The smoothed field of a unit charge, at the wave numbers of a grid with cells of side one."""
     from scipy.fft import fftfreq
 
     wave = fftfreq(cells, 1 / cells) ** 2

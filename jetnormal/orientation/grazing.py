@@ -1,6 +1,6 @@
-"""Signs of normals nearly at a right angle to their sight line, where a small error of the direction turns the sign.
+"""Signs of normals nearly at a right angle to their sight line, where a small error of the direction changes the sign.
 
-The cosine between normal and sight line, and the neighbors that the sensor sees more clearly, vote.
+Two things vote: the cosine between normal and sight line, and the neighbors that the sensor sees at a steeper angle.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Signs of normals: directions stay bit for bit what they were, only signs change.
+"""The methods that choose the signs of normals. Directions stay the same bit for bit.
 
 `global`, `view` and `mst` need nothing but the points; `viewpoint`, `up` and `terrain` use what is known about the
-scan; `none` leaves the signs alone. No other looks at the signs that come in: scrambling those changes nothing.
+scan; `none` leaves the signs as they are. The results of all others do not depend on the signs of the input.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Orientation:
             neighbors, patches and views; for "viewpoint" and "up", by the cosine between the normal and the sight
             line; 0 where no sign was chosen.
         open: (N,) whether a point was found on a surface that has no outside.
-        view: the side from which "view" thinks that the open surfaces were seen; None if they do not show one.
+        view: the side from which the open surfaces were seen, found by "view"; None if there is none.
     """
 
     normals: NDArray[Any]
@@ -48,7 +48,7 @@ class Orientation:
 def orient(
     points: NDArray[Any], normals: NDArray[Any], method: Method = "global", *, viewpoint: ArrayLike | None = None
 ) -> NDArray[Any]:
-    """Gives normals consistent signs; `choose_signs` tells more about them.
+    """Give normals consistent signs; `choose_signs` also returns what is known about them.
 
     Args, Raises: as `choose_signs`.
 
@@ -61,7 +61,7 @@ def orient(
 def choose_signs(
     points: NDArray[Any], normals: NDArray[Any], method: Method = "global", *, viewpoint: ArrayLike | None = None
 ) -> Orientation:
-    """Gives normals consistent signs.
+    """Give normals consistent signs.
 
     Rows with a non-finite point or normal, or a zero normal, stay as they are and do not take part.
 
@@ -71,12 +71,11 @@ def choose_signs(
         method: how signs are chosen:
             "global": outward, for closed surfaces; the wall of a cavity looks into the cavity. A component that is
             seen from both sides (a terrain, a wall) is turned up.
-            "view": as "global", but open surfaces look to where one sensor saw them from, if they show that.
-            "mst": consistent over a spanning tree of each component, whose extreme points then look out; one without
-            an outside is turned up. An inner shell looks out of itself.
-            "viewpoint": towards `viewpoint`; where the sight line grazes the surface, neighbors count as well.
-            "up": n_z > 0, for airborne scans; where n_z is 0, n_y > 0, and where that is 0 too, n_x > 0.
-            "terrain": up, walls and crowns away from what is behind them.
+            "view": as "global", but open surfaces look to the side from which one sensor saw them, if that can be
+            found. "mst": consistent over a spanning tree of each component, whose extreme points then look out; one
+            without an outside is turned up. An inner shell looks out of itself. "viewpoint": towards `viewpoint`; where
+            the sight line grazes the surface, neighbors count as well. "up": n_z > 0, for airborne scans; where n_z is
+            0, n_y > 0, and where that is 0 too, n_x > 0. "terrain": up, walls and crowns away from what is behind them.
             "none": as they are.
         viewpoint: for the method "viewpoint", the sensor's (x, y, z) in the frame of the points, or one for each
             point, (N, 3). A normal at a right angle to its sight line, or without one, is turned up.
@@ -146,7 +145,7 @@ def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Out
 
 
 def _probability(found: Outcome, method: Method) -> Floats:
-    """How probably signs are right (N,)."""
+    """The probability that each sign is right (N,)."""
     if method == "mst" or method == "terrain":
         return probability(found.sure, method)
     seen = probability(found.sure, "view" if found.view is not None and found.view.certain else "guess")

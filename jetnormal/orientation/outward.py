@@ -1,15 +1,16 @@
-"""The method "global": every normal looks out of the matter, whatever single neighbors, patches or objects say.
+"""The method "global": normals look outward, out of the solid.
 
-1. Neighbors that surely agree join to patches (`agreement.patches`); patches that touch are coupled.
+1. Neighbors that surely agree are joined to patches (`agreement.patches`); patches that touch are coupled.
 2. Each connected component is looked at from all around (`visibility.look`): whoever sees a closed surface stands
-   outside of it. A component that both sides of are seen, alone and among the others, is open: it has no outside.
-3. Couplings and votes are weighed in one linear system. Couplings that agree with each other count far more: where
-   scanners left holes, one sees the inside of much of a surface, but hardly a coupling is wrong. Where noise is as
-   large as the spacing, couplings join the two sides of walls; there, winding numbers count as well (`winding`).
-4. A component inside the matter of another is the wall of a cavity, and is turned inward.
+   outside of it. A component whose two sides are both seen, alone and among the others, is open: it has no outside.
+3. Signs follow from couplings and votes by one linear system. Couplings that agree with each other count far more than
+   votes: through holes that scanners left, the inside of a surface is seen, while couplings are hardly ever wrong.
+   Where noise is as large as the spacing, couplings join the two sides of walls; there winding numbers count as well
+   (`winding`).
+4. A component inside the solid part of another is the wall of a cavity, and is turned inward.
 5. An open surface is turned up.
 6. Where noise is not small against the spacing, the field of all normals (`dipole_field`) corrects single points.
-7. Specks, of fewer points than a surface needs, take the sign of the surface beside them.
+7. Specks, which have fewer points than a surface needs, take the sign of the surface beside them.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ def turn_outward(surface: Surface, *, views: bool = False) -> Outcome:
 
     Args:
         surface: its normals are turned.
-        views: whether open surfaces are turned to where they were seen from, if they show that (`single_view`).
+        views: whether open surfaces are turned to the side from which they were seen, if it can be found
+            (`single_view`).
     """
     flips, parts = divide(surface)
     surface.turn(flips)
@@ -77,7 +79,7 @@ def turn_up(surface: Surface) -> Outcome:
 
 
 def _finished(surface: Surface, parts: Parts, belief: Floats, is_open: Bools, view: View | None = None) -> Outcome:
-    """Turn patches by their signs (M,), then single points that are wrong in them."""
+    """Turn patches by their signs (M,), then single points in them that are wrong."""
     surface.turn((belief < 0)[parts.patch])
     sure = revote(surface) * np.abs(belief)[parts.patch]
     flips, strength = contradicted(surface, np.where(parts.speck, -1, np.arange(len(parts.speck)))[parts.component])
@@ -112,15 +114,15 @@ def _sum(votes: Votes, parts: Parts) -> Votes:
 
 
 def _purity(votes: Votes, parts: Parts) -> Floats:
-    """How far the views that see a patch are on one side of it, by component (C,), 0 to 1."""
+    """How far the views that see a patch lie on one side of it (0 to 1), by component (C,)."""
     total = parts.by_component(votes.total)
     return parts.by_component(np.abs(votes.outward)) / np.where(total > 0, total, 1)
 
 
 def _weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Floats:
-    """Find signs of patches (M,), -1 to 1, by the couplings and the votes; where noise drowns them, by the winding too.
+    """Find signs of patches (M,), -1 to 1, from couplings and votes; where noise hides these, from winding numbers, too.
 
-    A patch with votes for both sides says little.
+    A patch with votes for both sides counts little.
     """
     strength = np.asarray(abs(parts.coupling).sum(axis=1)).ravel()
     total = parts.by_component(votes.total)
@@ -142,7 +144,7 @@ def _weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Floa
 
 
 def _in_matter(surface: Surface, parts: Parts, belief: Floats, is_open: Bools) -> Bools:
-    """Which components (C,) are inside the matter of others: by the winding number of these, the largest first."""
+    """Which components (C,) lie in the solid part of others, by the winding number of these, the largest first."""
     flips = np.zeros(len(parts.speck), dtype=np.bool_)
     candidates = np.flatnonzero(~(parts.speck | is_open))
     if len(candidates) < 2:
@@ -175,8 +177,8 @@ def _some(order: Ints, starts: Ints, sizes: Ints, component: int, count: int) ->
 def _upright(votes: Votes, parts: Parts) -> Floats:
     """Find signs of patches (M,), -1 to 1, by what is seen from above.
 
-    Links and votes for up form one spanning tree, so the clearest part of a sheet decides for all of it: a mean of all
-    votes would fold it where it hangs over.
+    Links and votes for up form one spanning tree, so the clearest part of a sheet decides for all of it. By a mean of
+    all votes, the signs would change where it overhangs.
     """
     from scipy.sparse import bmat, csr_matrix
 

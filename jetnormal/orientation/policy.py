@@ -1,4 +1,4 @@
-"""The one entry to the signs: `settle` decides by what is known and by what the cloud shows, and says why.
+"""The entry to this package: `settle` decides which method chooses the signs, and says why.
 
 `auto` takes the first of these that applies:
 1. a viewpoint, attributes or a trajectory that the user gives;
@@ -58,10 +58,10 @@ class Decision:
     Attributes:
         asked: the option `orient`.
         used: the method: "viewpoint", "terrain", "global", "origin", "view", "mst", "up" or "none".
-        reason: why that one.
+        reason: why that method.
         open_share: of the points that lie on surfaces without an outside.
         confidence: mean of the signs' confidence.
-        guessed: whether nothing told which side of open surfaces was seen.
+        guessed: whether the side of open surfaces is a guess.
         unseen: points without a finite viewpoint; their normals look up.
     """
 
@@ -95,8 +95,8 @@ def find_sensors(options: SignOptions, cloud: Cloud) -> Sensors | None:
     """Find what is known of the sensor; None if nothing is, or it is not asked for.
 
     Raises:
-        InputError: the cloud lacks what is to tell the viewpoints.
-        UsageError: a viewpoint is needed, and nothing tells it.
+        InputError: the cloud lacks the attributes of the viewpoints, or the trajectory does not fit it.
+        UsageError: a viewpoint is needed, and none is known.
     """
     told = told_sensors(options, cloud)
     if told is not None or options.orient not in ("auto", "viewpoint"):
@@ -142,7 +142,7 @@ def orient(
     viewpoint: ArrayLike | None = None,
     viewpoint_attribute: tuple[str, str, str] | None = None,
 ) -> NDArray[Any]:
-    """Give normals consistent signs, by the decisions of `jetnormal.estimate`; their directions stay the same bits.
+    """Give normals consistent signs, decided as in `jetnormal.estimate`; their directions stay the same bit for bit.
 
     Args:
         points: (N, 3) coordinates, or a cloud, whose file may know its sensor.
@@ -206,7 +206,7 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
 
 
 def _one_sided(points: Floats, orientation: Orientation) -> bool:
-    """Whether consistent signs show the origin one side of the open surfaces, as they would a sensor."""
+    """Whether the origin sees one side of the consistently signed open surfaces, as a sensor would."""
     facing = np.einsum("nd,nd->n", orientation.normals, points)[orientation.open] < 0
     return bool(max(facing.mean(), 1 - facing.mean()) >= ONE_SIDE)
 

@@ -1,4 +1,4 @@
-"""Where the points of a cloud were seen from, as far as the user or the file says so."""
+"""The positions from which points were seen, as the user or the file tells them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Sensors:
 
     Attributes:
         places: (3,) for all points, or (N, 3) for each; a row is NaN where it is not known.
-        reason: who says so.
+        reason: where this is known from.
     """
 
     places: Floats
@@ -46,10 +46,10 @@ class Sensors:
 
 
 def told_sensors(options: SensorOptions, cloud: Cloud) -> Sensors | None:
-    """Find what the user says of the sensor; None if nothing.
+    """Find the sensor by the options of the user; None if they tell none.
 
     Raises:
-        InputError: an attribute or the trajectory is missing or of no use.
+        InputError: an attribute or the trajectory is missing or cannot be used.
     """
     if options.viewpoint is not None:
         return Sensors(np.asarray(options.viewpoint, dtype=np.float64), "the viewpoint was given")
@@ -64,10 +64,10 @@ def told_sensors(options: SensorOptions, cloud: Cloud) -> Sensors | None:
 
 
 def file_sensors(cloud: Cloud) -> Sensors | None:
-    """Find what the cloud's file knows of its sensor; None if nothing.
+    """Find the sensor by the cloud's file; None if it tells none.
 
-    Writers of PCD files put the origin where they know no viewpoint, so it counts only in an organized cloud, whose
-    rows and columns are a sensor's.
+    Programs write the origin into PCD files if they know no viewpoint. So the origin counts only for an organized
+    cloud, whose rows and columns are those of a sensor.
     """
     source = cloud.source
     if source.sensors is not None and np.isfinite(source.sensors).any():
@@ -86,7 +86,7 @@ def read_trajectory(path: Path) -> Floats:
     """Read a trajectory (T, 4), T >= 2: time, x, y and z in rows, parted by blanks, commas or semicolons.
 
     Raises:
-        InputError: the file cannot be read, or is none of that.
+        InputError: the file cannot be read, or holds no trajectory.
     """
     try:
         text = path.read_text(encoding="utf-8", errors="replace")

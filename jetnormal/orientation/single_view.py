@@ -1,9 +1,9 @@
-"""Which side of an open surface was seen, where a scan was taken from one place.
+"""The side of an open surface from which it was seen, if a scan was taken from one place.
 
 One view of an object is a height field over a plane: no point hides another, neither from its sensor nor from behind.
-What tells the two sides apart is how it ends. What a sensor sees of an object ends where the surface turns away from
-it, so that borders run away from the sensor: seen from the right side, the neighbors of a border point lie in front of
-it. Where one thing hides another, the hidden surface ends anywhere.
+The borders tell the two sides apart. What a sensor sees of an object ends where the surface turns away from it, so the
+surface recedes from the sensor at its borders: the neighbors of a border point lie in front of it. Only where one
+thing hides another does the hidden surface end anywhere.
 
 1. The axis: the direction that as much of the consistently signed surface as possible faces.
 2. All patches are turned to face along the axis (`agreement.relax` weighs that and their couplings).
@@ -42,7 +42,7 @@ class View:
     Attributes:
         belief: (M,) signs of the patches, -1 to 1, that show them to the sensor.
         facing: the share of the area that then faces the sensor, 0 to 1.
-        lean: how far the borders lean away from the sensor, 0 (not at all) to 1.
+        lean: how far the surface recedes from the sensor at its borders, 0 (not at all) to 1.
         borders: how many points lie at borders.
     """
 
@@ -58,7 +58,7 @@ class View:
 
     @property
     def certain(self) -> bool:
-        """Whether the borders lean as clearly as those of objects do."""
+        """Whether the surface recedes at its borders as clearly as those of objects do."""
         return self.found and self.lean >= LEAN
 
 
@@ -69,7 +69,7 @@ class Outcome:
     Attributes:
         sure: (N,) how sure the signs are, 0 to 1.
         open: (N,) which points are on a surface without an outside.
-        view: the side of the open surfaces that a sensor saw; None if that was not asked for, or not found.
+        view: the side from which the open surfaces were seen; None if that was not asked for, or not found.
     """
 
     sure: Floats
@@ -115,7 +115,7 @@ def _facing(surface: Surface, parts: Parts, area: Floats, axis: Floats, weight: 
 
 
 def _lean(surface: Surface, axis: Floats, among: Bools) -> tuple[float, int]:
-    """How far borders lean away from where the axis points, -1 to 1, and how many points lie at them."""
+    """How far the surface recedes, against the axis, at its borders, -1 to 1, and the number of border points."""
     if surface.neighbors.shape[1] < 3:
         return 0.0, 0
     inner = surface.points[surface.neighbors].mean(axis=1) - surface.points

@@ -1,8 +1,8 @@
-"""The method "mst": signs that are consistent along a spanning tree, corrected by all that the tree leaves out.
+"""The method "mst": signs that are consistent along a spanning tree, corrected by the edges outside of the tree.
 
-Hoppe et al., "Surface reconstruction from unorganized points" (1992), with patches of points for points: what joins two
-patches is the sum of all edges between them, which one wrong edge cannot turn over. Then branches turn that contradict
-the rest, and each component looks outward at its extreme points.
+Hoppe et al., "Surface reconstruction from unorganized points" (1992), with patches instead of points: the coupling of
+two patches is a sum over all edges between them, whose sign a single wrong edge hardly changes. Then branches that
+contradict the rest are flipped, and each component is turned so that it looks outward at its extreme points.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ def grow_tree(surface: Surface) -> Outcome:
 
 
 def mend(forest: Forest, coupling: Any, flips: Bools) -> Bools:
-    """Turns branches, the worst first, that contradict the rest of their tree more than they agree with it.
+    """Flip branches that contradict the rest of their tree more than they agree with it, the worst first.
 
-    A branch hangs on one edge: if that edge is wrong, so is all behind it, and the other couplings of the branch with
-    the rest say so.
+    One edge of the tree connects a branch with the rest. If this edge is wrong, so is the whole branch, and the other
+    couplings between the branch and the rest show it.
 
     Args:
         forest: over M nodes.

@@ -1,7 +1,7 @@
-"""Whether a cloud is terrain: ground seen from above, with what stands on it, which looks up.
+"""Tell whether a cloud is terrain: ground seen from above, and what stands on it.
 
-Terrain is wide, flat and mostly horizontal, it covers nearly all of the plane under it, and hardly anything of it lies
-above something else: a plate or a room has a second level, and trees above the ground are not level.
+Terrain is wide, flat and mostly horizontal, and covers nearly all of its ground plan. Few parts of it lie above others:
+a plate or a room has a second horizontal level, while trees above the ground are not horizontal.
 """
 
 from __future__ import annotations

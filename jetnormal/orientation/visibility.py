@@ -1,8 +1,8 @@
-"""What can be seen of a surface from far away: whoever sees a closed surface stands outside of it.
+"""Visibility of a surface from far away: whoever sees a closed surface stands outside of it.
 
 The votes of patches for the side that infinity sees are those of Takayama et al., "A simple method for correcting facet
-orientations in polygon meshes based on ray casting" (2014), with orthographic depth maps for rays. What a near
-place sees is told by Katz et al., "Direct visibility of point sets" (2007).
+orientations in polygon meshes based on ray casting" (2014), with orthographic depth maps instead of rays. What is
+visible from a near place is found as in Katz et al., "Direct visibility of point sets" (2007).
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ class Votes:
 def look(surface: Surface, component: Ints, *, alone: bool) -> Votes:
     """Look at all points of a surface from all around.
 
-    Pixels are as large as points are apart: sparse parts are drawn into pictures with large pixels, dense parts into
-    pictures with small ones, and all pictures hide. Distances between objects do not matter.
+    Pixels are as large as points are apart: sparse parts are drawn into images with large pixels, dense parts into
+    images with small ones. A point is hidden if one image hides it. Distances between objects do not matter.
 
     Args:
         surface: N points.
         component: (N,) the component of each.
-        alone: whether a component is looked at as if there were no others, or all hide each other.
+        alone: whether each component is looked at as if there were no others; otherwise they hide each other.
     """
     unit, level = _levels(surface, component)
     label = component if alone else np.zeros_like(component)
@@ -102,7 +102,7 @@ def _levels(surface: Surface, component: Ints) -> tuple[float, Ints]:
 def _pictures(level: Ints, label: Ints) -> tuple[Bools, Ints, Ints]:
     """Which points (N,) hide others, and the lowest and highest level (L,) of those with each label.
 
-    Levels that few points of a label have are those of strays.
+    Levels with few points of a label are taken for those of stray points.
     """
     count = int(label.max()) + 1
     low = int(level.min())
