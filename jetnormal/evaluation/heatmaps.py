@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from jetnormal.evaluation.clouds import BenchmarkCloud, read_benchmark_cloud
 from jetnormal.evaluation.curves import TITLES, short
-from jetnormal.evaluation.protocol import Evaluation
+from jetnormal.evaluation.protocol import Evaluation, ModelResult
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.rendering.camera import Camera, interesting_direction, make_camera
 from jetnormal.rendering.light import develop
@@ -26,6 +26,7 @@ COLORS = colormaps["jet"]  # the paper's, as in most work on normals
 SIZE = 420  # pixels of the longer side of a panel
 SUPERSAMPLING = 2
 DOTS_PER_INCH = 150
+IN_A_ROW = 4  # models, where there is only one cloud
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.35, 0.75, 0.75, 0.1, 0.25  # inches around and below the panels
 
 
@@ -34,7 +35,8 @@ def draw_heatmaps(
 ) -> Figure:
     """Draw the clouds of a shape: a column for each, a row for each model, the RMSE below.
 
-    The camera is the same for all. Points that were not evaluated take the color of the nearest one that was.
+    The models on a single cloud stand in a grid instead, each under its name. The camera is the same for all. Points
+    that were not evaluated take the color of the nearest one that was.
 
     Args:
         evaluation: what is drawn.
@@ -53,30 +55,48 @@ def draw_heatmaps(
     towards = interesting_direction(scenes[0].points, scenes[0].normals)
     camera = make_camera(scenes[0].points, towards, SIZE * SUPERSAMPLING)
     width, height = (side / SUPERSAMPLING / DOTS_PER_INCH for side in (camera.width, camera.height))
-    rows = len(evaluation.models)
-    size = np.array([LEFT + width * len(names) + RIGHT, TOP + (height + GAP) * rows + BOTTOM])
+    across = min(IN_A_ROW, len(evaluation.models)) if len(names) == 1 else len(names)
+    gap = 2 * GAP if len(names) == 1 else GAP  # every row has titles
+    rows = -(-len(names) * len(evaluation.models) // across)
+    size = np.array([LEFT + width * across + RIGHT, TOP + (height + gap) * rows + BOTTOM])
     figure = Figure(figsize=(size[0], size[1]), dpi=DOTS_PER_INCH)
-    for column, (name, cloud, scene) in enumerate(zip(names, clouds, scenes, strict=True)):
-        surfels = _facing(see(scene, camera), camera)
-        nearest = _nearest_evaluated(cloud)
-        for row, model in enumerate(evaluation.models):
-            corner = LEFT + width * column, size[1] - TOP - (height + GAP) * row - height
-            panel = figure.add_axes((corner[0] / size[0], corner[1] / size[1], width / size[0], height / size[1]))
-            colors = COLORS(model.clouds[name].errors[nearest] / ERROR_LIMIT)[:, :3]
-            painted = replace(surfels, colors=colors[surfels.index].astype(np.float32))
-            panel.imshow(develop(painted, camera, scenes[0].radius, SUPERSAMPLING, "white"))
-            panel.set(xticks=[], yticks=[])
-            panel.spines[:].set_visible(False)
-            panel.set_xlabel(f"{model.clouds[name].scores.rmse:.2f}°", fontsize=10, labelpad=2)
-            if column == 0:
-                panel.set_ylabel(short(model.model), fontsize=10)
-            if row == 0:
-                category = evaluation.clouds[name]
-                panel.set_title(TITLES.get(category, category), fontsize=10)
+    surfels = [_facing(see(scene, camera), camera) for scene in scenes]
+    nearest = [_nearest_evaluated(cloud) for cloud in clouds]
+    for row, column, number, model, title, label in _panels(evaluation, names, across):
+        result = model.clouds[names[number]]
+        painted = _painted(surfels[number], result.errors[nearest[number]])
+        corner = LEFT + width * column, size[1] - TOP - (height + gap) * row - height
+        panel = figure.add_axes((corner[0] / size[0], corner[1] / size[1], width / size[0], height / size[1]))
+        panel.imshow(develop(painted, camera, scenes[0].radius, SUPERSAMPLING, "white"))
+        panel.set(xticks=[], yticks=[])
+        panel.spines[:].set_visible(False)
+        panel.set_xlabel(f"{result.scores.rmse:.2f}°", fontsize=10, labelpad=2)
+        panel.set_ylabel(label, fontsize=10)
+        panel.set_title(title, fontsize=10)
     _add_color_bar(figure, size)
     title = f"{shape}: errors of normals, RMSE below"
     figure.text(0.12 / size[0], 1 - 0.12 / size[1], title, fontsize=11, va="top", wrap=True)
     return figure
+
+
+def _panels(
+    evaluation: Evaluation, names: Sequence[str], across: int
+) -> Iterator[tuple[int, int, int, ModelResult, str, str]]:
+    """Yield row, column, number of the cloud, model, title and label of each panel."""
+    for number, name in enumerate(names):
+        category = evaluation.clouds[name]
+        for place, model in enumerate(evaluation.models):
+            if len(names) == 1:
+                yield *divmod(place, across), number, model, short(model.model), ""
+            else:
+                title = "" if place else TITLES.get(category, category)
+                yield place, number, number, model, title, "" if number else short(model.model)
+
+
+def _painted(surfels: Surfels, errors: NDArray[np.floating]) -> Surfels:
+    """The same in the colors of the errors (N,) of their points."""
+    colors = COLORS(errors / ERROR_LIMIT)[:, :3]
+    return replace(surfels, colors=colors[surfels.index].astype(np.float32))
 
 
 def _scene(cloud: BenchmarkCloud, middle: NDArray[np.float64]) -> Scene:

@@ -73,9 +73,11 @@ def _table_by_category(
     lower: bool = False,
 ) -> Table:
     models = evaluation.models
-    columns = ["model", *models[0].categories, "average"]
+    several = len(models[0].categories) > 1
+    columns = ["model", *models[0].categories, *(["average"] if several else [])]
     values: list[list[float | None]] = [
-        [value(scores) for scores in (*model.categories.values(), model.average)] for model in models
+        [value(scores) for scores in (*model.categories.values(), *([model.average] if several else []))]
+        for model in models
     ]
     count = len(columns) - 1
     return Table(title, columns, [model.model for model in models], values, [show] * count, [lower] * count)

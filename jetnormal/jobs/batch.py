@@ -1,4 +1,4 @@
-"""Many files into one folder, with one model: a file that fails does not stop the others."""
+"""Estimate the normals of many files with one model, into one folder. A file that fails does not stop the others."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def estimate_files(
 ) -> dict[str, Any]:
     """Estimate the normals of many clouds, each as `jobs.estimate.estimate_file` does.
 
-    The clouds are computed one after the other, with all threads; others are read and written meanwhile.
+    The clouds are computed one after the other, each with all threads. Meanwhile others are read and written.
 
     Args:
         sources: the files to read.
@@ -41,7 +41,7 @@ def estimate_files(
         files: how files are read and written; `format` is that of the written ones.
         batch: what is written, and how many clouds are in memory at a time.
         overwrite: whether existing outputs may be replaced.
-        finished: is called with the summary of each file, or with what failed, as soon as it is done.
+        finished: called with the summary or the failure of each file as soon as it is done.
 
     Returns:
         A summary: folder, files (the summaries of those that are done), skipped (outputs that were there), failed
@@ -138,14 +138,14 @@ def _run(
                     failed[index] = {"input": str(todo[index][0]), **_failure(error)}
                 finished(done.get(index) or failed[index])
                 advance(sizes[index], f"{len(done) + len(failed)} of {len(todo)} files")
-        except BaseException:  # Ctrl-C: what has begun is ended, what has not is not begun
+        except BaseException:  # Ctrl-C: files that have begun are finished, no others begin
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [done[index] for index in sorted(done)], [failed[index] for index in sorted(failed)]
 
 
 def _failure(error: BaseException) -> dict[str, Any]:
-    """What to say about a file that failed, and the exit code that its error has."""
+    """The message about a file that failed, and the exit code of its error."""
     if isinstance(error, JetnormalError):
         return {"error": " ".join(str(error).split()), "code": error.exit_code}
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":  # PyTorch's, on a GPU

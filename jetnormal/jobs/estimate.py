@@ -40,9 +40,9 @@ class Result:
         curvatures: (N, 2) float32 principal curvatures, the larger first, in the inverse of the cloud's unit, positive
             where the surface bends towards the normal; None of a plane.
         sign_confidence: (N,) float32, how probably each sign is right (`orientation.methods.Orientation`).
-        model: what estimated the normals, with its settings.
-        decision: the method that chose the signs, why that one, and how sure it is.
-        warnings: what a user should know.
+        model: name of the estimator, with its settings.
+        decision: the method that chose the signs, the reason for it, and its confidence.
+        warnings: messages for the user.
         seconds: wall-clock time by stage: clean, estimate, orient.
     """
 
@@ -152,8 +152,8 @@ def run_file(
         source, target, options, files, overwrite: as for `estimate_file`.
         estimator: what `prepare_estimator` made of the options.
         timer: takes the stages read, clean, estimate, orient and write.
-        turn: is entered for the computation, so that of several files that are read and written at the same time one
-            is computed.
+        turn: a context that is entered for the computation, so that one file is computed at a time while others are
+            read and written.
     """
     with timer.stage("read"):
         cloud = read_file(source, files)
@@ -186,7 +186,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
     """Estimate the normals of a cloud, for other jobs that begin with it.
 
     Args:
-        cloud: the cloud; its own normals do not count.
+        cloud: the cloud; its own normals are ignored.
         options: how.
         estimator: what `prepare_estimator` made of the same options.
         timer: takes the stages clean, estimate and orient.
@@ -240,7 +240,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
 
 
 def with_normals(cloud: Cloud, result: Result, options: EstimateOptions) -> tuple[Cloud, list[str]]:
-    """Give a cloud its normals and the attributes asked for; return it, and what it lost for them."""
+    """Return a cloud with its normals and the attributes asked for, and warnings about attributes that they replace."""
     found: dict[str, NDArray[Any]] = {}
     if options.curvature and result.curvatures is not None:
         high, low = result.curvatures.T
@@ -257,7 +257,7 @@ def with_normals(cloud: Cloud, result: Result, options: EstimateOptions) -> tupl
 
 
 def gaps(non_finite: int, degenerate: int) -> list[str]:
-    """What to say about points without a normal."""
+    """Warnings about points without a normal."""
     warnings = []
     if non_finite:
         warnings.append(f"{non_finite} points have no finite coordinates; their normals are NaN")

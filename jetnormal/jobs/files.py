@@ -1,4 +1,4 @@
-"""The files of clouds, as the user says that they are."""
+"""Read and write the files of clouds with the options of the user."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def read_file(source: Path, files: ReadOptions) -> Cloud:
 
 
 def check_file(target: Path, files: FileOptions, *, overwrite: bool) -> None:
-    """Find out before the long work whether a file can be written.
+    """Check before the long work that a file can be written.
 
     Raises:
         InputError, UsageError: it cannot.
@@ -41,7 +41,7 @@ def write_file(cloud: Cloud, target: Path, files: FileOptions, *, overwrite: boo
 
 
 def check_format(files: ReadOptions, *paths: Path) -> None:
-    """Refuse a format that no file needs: a suffix goes before it.
+    """Refuse the option `format` if the suffixes of all files tell their formats.
 
     Raises:
         UsageError: every path has a suffix that tells its format.

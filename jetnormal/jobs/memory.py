@@ -1,4 +1,4 @@
-"""What a run takes: memory of a cloud that is computed at once, points of a tile, and bytes on the disk."""
+"""Estimates of what a run needs: memory of a cloud that is computed at once, points of a tile, bytes on the disk."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def _text(path: Path) -> str:
 
 
 def at_once(path: Path, files: ReadOptions, limit: int) -> int:
-    """Estimate the bytes that a cloud takes which is computed at once, without reading it.
+    """Estimate the memory in bytes that a cloud takes if it is computed at once, without reading it.
 
-    The size of the file is looked at first, and its header only if it is compressed, or the size is beyond the limit.
+    The size of the file decides. The header is read only if the file is compressed or its size is beyond the limit.
     """
     known = formats.find_format(path, formats.format_for(path, files.format))
     try:
@@ -65,7 +65,7 @@ def at_once(path: Path, files: ReadOptions, limit: int) -> int:
 
 
 def _bytes_of_a_point(path: Path) -> int:
-    """Bytes of a row of a file of text, judged by some of its lines; the usual number for other files."""
+    """Bytes of a row of a text file, estimated from some of its lines; a usual number for other files."""
     with path.open("rb") as stream:
         head = stream.read(1 << 16)
     lines = head.count(b"\n")
@@ -112,12 +112,12 @@ def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions) -> Roo
 
 
 def check_disk(folder: Path, stream: CloudStream, source: Path, *, each_has_sensor: bool) -> None:
-    """Find out before the work whether the tiles and the output fit on the disk.
+    """Check before the work that the tiles and the output fit on the disk.
 
     Args:
         folder: where both go.
         stream, source: the input.
-        each_has_sensor: whether a tile holds from where each of its points was seen.
+        each_has_sensor: whether a tile holds the position from which each of its points was seen.
 
     Raises:
         InputError: they do not.

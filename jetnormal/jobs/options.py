@@ -1,4 +1,4 @@
-"""The options of the jobs, each told once: commands, signatures and documentation are derived from them.
+"""The options of the jobs, each defined once: commands, signatures and documentation are derived from them.
 
 This module imports nothing heavy: the command line needs it to print its help.
 """
@@ -105,7 +105,7 @@ class NormalOptions(OptionSet):
     iterations: Annotated[
         int | None,
         Option(
-            "Fits, or last votes, per point (networks); each starts from the normal of the one before.",
+            "Rounds of the fit, or of the last vote, per point (networks); each starts from the normal of the last.",
             low=1,
             metavar="N",
             default="the model's",
@@ -115,7 +115,7 @@ class NormalOptions(OptionSet):
     orient: Annotated[
         Literal["auto", "global", "mst", "viewpoint", "up", "none"],
         Option(
-            "How the signs are chosen; auto decides by what is known of the sensor and what the cloud shows.",
+            "How the signs are chosen; auto decides by the sensor, if it is known, and by the shape of the cloud.",
             group="Signs",
         ),
     ] = "auto"
@@ -213,7 +213,8 @@ class BatchOptions(OptionSet):
 
     _: KW_ONLY
     suffix: Annotated[
-        str, Option("End of the names of the files in DIR, as _n.", metavar="TEXT", group="Many files")
+        str,
+        Option("Added to the names of the files in DIR, as in scan_n.ply for _n.", metavar="TEXT", group="Many files"),
     ] = ""
     jobs: Annotated[
         int,
@@ -223,7 +224,7 @@ class BatchOptions(OptionSet):
         ),
     ] = 2  # fmt: skip
     skip_existing: Annotated[
-        bool, Option("Go on after an interruption: leave out what is in DIR already.", group="Many files")
+        bool, Option("Skip files whose results are in DIR already, as after an interruption.", group="Many files")
     ] = False
 
     def __post_init__(self) -> None:
@@ -244,9 +245,7 @@ class LargeOptions(OptionSet):
             parse=parse_bytes, metavar="SIZE", default="60 % of the machine's", group="Large clouds",
         ),
     ] = None  # fmt: skip
-    resume: Annotated[bool, Option("Go on with the tiles that an interrupted run has left.", group="Large clouds")] = (
-        False
-    )
+    resume: Annotated[bool, Option("Continue an interrupted run with the tiles it left.", group="Large clouds")] = False
     cluster: Annotated[
         str | None,
         Option(
@@ -273,7 +272,7 @@ class EstimateOptions(NormalOptions):
         bool, Option("Add the attributes curvature (the mean), curvature_max and curvature_min.", group="Attributes")
     ] = False
     confidence: Annotated[
-        bool, Option("Add the attribute confidence, 0 to 1: how good the normal is.", group="Attributes")
+        bool, Option("Add the attribute confidence, 0 to 1: how reliable the normal is.", group="Attributes")
     ] = False
     sign_confidence: Annotated[
         bool, Option("Add the attribute sign_confidence, the probability that the sign is right.", group="Attributes")
@@ -314,7 +313,7 @@ class SurfaceOptions(OptionSet):
     min_component: Annotated[
         int | Literal["largest"] | None,
         Option(
-            "Leave out components that fewer points belong to; largest keeps one.",
+            "Remove components with fewer points; largest keeps only the largest.",
             parse=parse_component, metavar="N|largest", default="30, or 0.2 % of the points", group="Surface",
         ),
     ] = None  # fmt: skip
@@ -381,7 +380,7 @@ class PreviewOptions(OptionSet):
             parse=parse_words, metavar="C,C,...", default="auto",
         ),
     ] = ("auto",)  # fmt: skip
-    background: Annotated[Literal["white", "dark"], Option("Of the picture and the page.")] = "white"
+    background: Annotated[Literal["white", "dark"], Option("Background of the picture and the page.")] = "white"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,4 +1,4 @@
-"""From points to directions by the estimator that the options ask for: what a cloud and each tile of one go through."""
+"""From points to directions, by the estimator that the options ask for; for whole clouds and for tiles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KEPT_MODELS = 4  # in memory
 
 
 def prepare_estimator(options: NormalOptions) -> Estimator:
-    """Make the estimator asked for. What is wrong with the options, whatever the cloud, shows here.
+    """Make the estimator that the options ask for, and refuse options that no cloud could be estimated with.
 
     Raises:
         UsageError, ModelError, ResourceError: as `jetnormal.estimate`.
@@ -34,7 +34,7 @@ def prepare_estimator(options: NormalOptions) -> Estimator:
 
 
 def kept_estimator(options: EstimateOptions) -> Estimator:
-    """`prepare_estimator`, or what it made before of such options, if the model file has not changed since."""
+    """Return the estimator of `prepare_estimator`, kept from an earlier call unless the model file has changed."""
     from jetnormal.estimators.factory import model_file
 
     file = model_file(options.model_name)
@@ -104,13 +104,13 @@ def predict(
 
 
 def _nothing(count: int) -> Prediction:
-    """What can be said of so few points that they span no plane."""
+    """The prediction for so few points that they span no plane: none."""
     unknown = np.full((count, 3), np.nan, dtype=np.float32)
     return Prediction(unknown, unknown, np.zeros(count, np.float32), unknown[:, :2])
 
 
 def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tuple[Estimator, list[str]]:
-    """The estimator for a cloud of so many points, and what to say if it is not quite the one asked for."""
+    """The estimator for a cloud of so many points, and a warning if it is not the one asked for."""
     from jetnormal.estimators.factory import make_estimator
 
     if count < estimator.min_points:
@@ -123,5 +123,5 @@ def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tupl
 
 
 def turned_curvatures(curvatures: NDArray[np.float32], turned: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Principal curvatures (N, 2), the larger first: a normal that was turned (N,) sees bends from the other side."""
+    """Principal curvatures (N, 2), the larger first, after normals (N,) were turned: their signs change."""
     return np.where(turned[:, None], -curvatures[:, ::-1], curvatures)

@@ -95,7 +95,7 @@ def preview_file(
 
 
 def draw(scenes: list[Scene], options: PreviewOptions) -> NDArray[np.uint8]:
-    """All views of all scenes in a grid, (H, W, 3): a row for each scene if there are several of both."""
+    """Draw all views of all scenes in a grid, (H, W, 3); a row for each scene if there are several of both."""
     from jetnormal.rendering.camera import make_camera, view_direction
     from jetnormal.rendering.light import develop
     from jetnormal.rendering.surfels import see
@@ -119,7 +119,7 @@ def _columns(scenes: int, views: int) -> int:
 def in_grid(
     images: list[NDArray[np.uint8]], columns: int, background: NDArray[np.uint8], gap: int
 ) -> NDArray[np.uint8]:
-    """Images (h, w, 3) of any sizes in one, (H, W, 3), each in the middle of its cell."""
+    """Join images (h, w, 3) of any sizes into one, (H, W, 3), each in the middle of its cell."""
     rows = [images[start : start + columns] for start in range(0, len(images), columns)]
     widths = [
         max(row[column].shape[1] for row in rows if column < len(row)) for column in range(min(columns, len(images)))

@@ -183,7 +183,7 @@ def _check_extent(points: NDArray[np.float64]) -> None:
 
 
 def _doubts(points: NDArray[np.float64], normals: NDArray[np.float64]) -> list[str]:
-    """A warning if many neighbors have opposite normals: nothing good comes of such signs."""
+    """A warning if many neighbors have opposite normals, which no usable surface follows from."""
     from jetnormal.geometry.neighbors import NeighborIndex
 
     neighbors = NeighborIndex(points).query(points, 5)[0][:, 1:]
@@ -194,11 +194,11 @@ def _doubts(points: NDArray[np.float64], normals: NDArray[np.float64]) -> list[s
 
 
 def _fitting_depth(points: NDArray[np.float64], scale: float, is_frame: bool) -> int:
-    """The depth at which the cells are no larger than the points, in a box of longest side 1, are apart.
+    """The depth at which a cell is no larger than the spacing of the points, in a box of longest side 1.
 
-    Where the points are noisier than that is fine, the cells are as large as four times the noise: smaller ones would
-    show the layers and bumps of a depth camera as scales. In a frame of such a camera noise grows with the distance,
-    and that of the farther surfaces counts.
+    If the noise is large against that, a cell is as large as four times the noise: smaller cells would show the layers
+    and bumps of a depth camera as scales. In a frame of such a camera the noise grows with the distance, and that of
+    the farther surfaces counts.
     """
     from jetnormal.meshing.cleanup import noise, typical_spacing
 
@@ -209,7 +209,7 @@ def _fitting_depth(points: NDArray[np.float64], scale: float, is_frame: bool) ->
 def _trimmed(
     mesh: Mesh, density: NDArray[np.float64], points: NDArray[np.float64], trim: float | None
 ) -> tuple[Mesh, bool, float]:
-    """The mesh without what the points do not support, whether its surface is open, and the share of area cut off."""
+    """The mesh without the parts that no points support, whether its surface is open, and the share of area cut off."""
     from jetnormal.meshing import cleanup as surface
 
     remote = surface.remoteness(mesh.vertices, points)

@@ -18,6 +18,7 @@ Ints = NDArray[np.int64]
 SUPPORT_NEIGHBORS = 8
 NOISE_NEIGHBORS = 50
 NOISE_SAMPLE = 500  # points at which the noise is measured
+STRAY_RADII = 3.0  # neighborhood radius of a stray point, over the median of its neighbors
 GAP_RADII = 3.0  # a surface that far from all points, in neighborhood radii of the nearest, bridges a gap
 OPEN_SHARE = 0.02  # of the area that bridges gaps, from which on a surface is open
 SPECK_POINTS = 30  # a component that fewer points belong to is a speck,
@@ -56,12 +57,20 @@ def noise(points: Floats, quantile: float) -> float:
 def remoteness(vertices: Floats, points: Floats) -> Floats:
     """Measure how far vertices (V, 3) are from the points (N, 3): (V,).
 
-    The distance to the nearest point is divided by that point's own distance to its 8th neighbor.
+    The distance to the nearest point is divided by that point's own distance to its 8th neighbor. Stray points, as
+    between the sky and a roof, do not count.
     """
-    index = NeighborIndex(points)
-    _, radii = index.query(points, min(SUPPORT_NEIGHBORS + 1, len(points)))
-    nearest, distance = index.query(vertices, 1)
-    return np.asarray(distance[:, 0] / radii[nearest[:, 0], -1])
+    neighbors, radius = _radii(points)
+    points = points[radius <= STRAY_RADII * np.median(radius[neighbors], axis=1)]
+    _, radius = _radii(points)
+    nearest, distance = NeighborIndex(points).query(vertices, 1)
+    return np.asarray(distance[:, 0] / radius[nearest[:, 0]])
+
+
+def _radii(points: Floats) -> tuple[Ints, Floats]:
+    """Find the 8 nearest neighbors of points (N, 3), themselves included, and the distances (N,) to the last."""
+    neighbors, distances = NeighborIndex(points).query(points, min(SUPPORT_NEIGHBORS + 1, len(points)))
+    return neighbors, distances[:, -1]
 
 
 def gap_share(mesh: Mesh, remote: Floats) -> float:

@@ -75,6 +75,16 @@ def test_heatmaps_have_a_row_per_model_with_its_errors_as_colors(clouds, turned)
     assert colors == [2, 1, 2, 0]  # blue, green, blue, red
 
 
+def test_models_on_a_single_cloud_stand_in_a_grid(clouds, turned):
+    evaluation = evaluate(clouds, [turned(float(angle), f"by {angle}") for angle in range(5)])
+    figure = draw_heatmaps(evaluation, "ball", ["ball"])
+    panels = [panel for panel in figure.axes if panel.images]
+    assert [panel.get_title() for panel in panels] == ["by 0", "by 1", "by 2", "by 3", "by 4"]
+    assert [panel.get_xlabel() for panel in panels] == ["0.00°", "1.00°", "2.00°", "3.00°", "4.00°"]
+    places = [panel.get_position() for panel in panels]
+    assert places[4].x0 == places[0].x0 and places[4].y1 < places[3].y0
+
+
 def test_errors_over_the_z_angle_need_a_network(clouds, turned):
     assert draw_z_angles(evaluate(clouds, [turned(1.0)], z_angles=True)) is None
 
@@ -101,7 +111,7 @@ def test_errors_over_the_z_angle(clouds, monkeypatch, turned):
 def test_of_long_names_the_end_is_shown(clouds, turned):
     name = "runs/" * 10 + "model.safetensors"
     figure = draw_heatmaps(evaluate(clouds, [turned(1.0, name)]), "ball", ["ball"])
-    assert figure.axes[0].get_ylabel() == "…s/runs/runs/model.safetensors"
+    assert figure.axes[0].get_title() == "…s/runs/runs/model.safetensors"
 
 
 def test_pictures_are_not_overwritten_unasked(tmp_path):

@@ -71,6 +71,12 @@ def test_latex_marks_the_best_and_escapes_names(folder, turned):
     assert any(r"median (\textdegree{})" in line for line in lines)
 
 
+def test_a_single_category_needs_no_average(tmp_path, write_sphere, turned):
+    write_sphere(tmp_path, "ball")
+    rmse = make_tables(evaluate(tmp_path, [turned(1.0)]))[0]
+    assert rmse.columns == ["model", "none"]
+
+
 def test_csv_has_a_row_per_cloud_category_and_average(evaluation):
     rows = list(csv.DictReader(io.StringIO(comma_separated(evaluation))))
     assert len(rows) == 2 * (7 + 6 + 1)

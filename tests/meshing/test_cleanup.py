@@ -92,6 +92,13 @@ def test_a_gap_in_the_points_is_bridged_by_the_surface_there():
     assert surface.gap_share(mesh, surface.remoteness(mesh.vertices, grid(41).vertices)) == 0
 
 
+def test_a_stray_point_supports_nothing():
+    """Above a scanned street some single points hang in the air; the lid that Poisson puts over it is a gap."""
+    stray = np.array([[0.5, 0.5, 1.0]])
+    remote = surface.remoteness(np.r_[stray, [[0.5, 0.5, 0.0]]], np.r_[grid(41).vertices, stray])
+    assert remote[0] > surface.GAP_RADII and remote[1] == 0
+
+
 def test_uneven_density_is_no_gap():
     sparse, dense = grid(41).vertices, grid(201).vertices
     points = np.r_[sparse[sparse[:, 0] >= 0.3], dense[dense[:, 0] < 0.3]]

@@ -1,4 +1,4 @@
-"""Clouds larger than memory: cut into tiles on disk, each of which goes the way of a cloud that fits.
+"""Clouds larger than memory: they are cut into tiles on disk, and each tile is computed as a cloud in memory is.
 
-partition -> directions of each tile -> a thinned cloud with signs -> signs of each tile -> the output, in its order
+tiles -> directions of each tile -> signs of a thinned cloud -> signs of each tile -> the output, in the input's order
 """

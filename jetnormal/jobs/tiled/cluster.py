@@ -20,13 +20,13 @@ def run_on_cluster(
 ) -> Iterator[int]:
     """Do a task for many tiles on a cluster; yield the points of each that is done, in any order.
 
-    A tile whose worker is lost is done again. What a tile leaves in the folder is complete or not there, so that it
-    does not matter how often, and by how many, a tile is done.
+    A tile whose worker is lost is computed again. Results are files that appear complete or not at all, so a tile may
+    be computed several times, even by several workers.
 
     Args:
         address: "local" starts Ray on this machine; "auto" finds the cluster that this machine belongs to;
             "ray://HOST:10001" is one elsewhere.
-        folder: of the tiles, at the same place on all machines.
+        folder: of the tiles, at the same path on all machines.
         options, kind: as for `work.run_task`.
         tiles: their numbers.
 

@@ -23,7 +23,7 @@ from jetnormal.support.report import progress
 
 
 class Merge:
-    """Writes the output; afterwards tells what there was to say.
+    """Write the output; then hold what the summary says of it.
 
     Attributes:
         valid: points that have a normal.
@@ -43,7 +43,7 @@ class Merge:
         self.warnings: list[str] = []
 
     def write(self, stream: CloudStream, target: Path, files: FileOptions, *, overwrite: bool) -> None:
-        """Read the input once more and write it with what was found."""
+        """Read the input once more and write it with the results."""
         self.warnings += formats.write_pieces(
             self._pieces(stream),
             self._plan.points,
@@ -73,7 +73,7 @@ class Merge:
                 advance(len(cloud))
 
     def _gather(self, start: int, count: int) -> tuple[NDArray[np.void], NDArray[np.void]]:
-        """What was found of the rows from `start` on; NaN for those that are in no tile."""
+        """The results for the rows from `start` on; NaN for rows that are in no tile."""
         found, signed = np.zeros(count, FOUND), np.zeros(count, SIGNED)
         for name in FOUND.names or ():
             found[name] = np.nan

@@ -1,4 +1,4 @@
-"""The first two looks at a large cloud: where to cut it, and each point into its tile."""
+"""The first two passes over a large cloud: choose the cuts, then write each point into its tile."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ PLAN = "plan"
 
 @dataclass(frozen=True)
 class Plan:
-    """What is known of all tiles.
+    """The tiles of a cloud.
 
     Attributes:
         points: rows of the file.
         counts: finite points of each tile.
         boxes: (T, 2, 3) least and largest coordinates of each tile.
-        sensors: who says where the points were seen from; None if nobody does.
-        place: (3,) where all were seen from; None if each has a place of its own, or none.
-        unseen: points for which that is not known.
+        sensors: where the positions of the sensor are known from; None if they are not known.
+        place: (3,) position from which all points were seen; None if each has its own, or none.
+        unseen: number of points whose sensor position is not known.
     """
 
     points: int
@@ -72,7 +72,7 @@ def distribute(stream: CloudStream, store: Store, options: EstimateOptions, larg
     Args:
         stream: the file.
         store: an empty folder.
-        options: tell what is known of the sensor.
+        options: the options of the user, which may tell the sensor.
         largest: points of a tile, about.
 
     Raises:
@@ -93,7 +93,7 @@ def distribute(stream: CloudStream, store: Store, options: EstimateOptions, larg
 
 
 def _sample(stream: CloudStream, times: int, advance: Any) -> Floats:
-    """The different points that are in the sample which tells where to cut."""
+    """The distinct points of the sample from which the cuts are chosen."""
     parts = []
     for cloud in stream.pieces(ROWS):
         points = cloud.points[cloud.valid]

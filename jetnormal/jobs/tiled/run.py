@@ -1,4 +1,4 @@
-"""The whole way of a cloud larger than memory, from file to file, and where to go on after an interruption."""
+"""Estimate a cloud larger than memory, from file to file; resume after an interruption."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def estimate_in_tiles(
     Args:
         source, target, options, files, overwrite: as for `jobs.estimate.estimate_file`.
         room: points of a tile and of the thinned cloud; of a run that is resumed, they stay what they were.
-        resume: whether to go on with the tiles that an interrupted run has left.
+        resume: whether to continue with the tiles that an interrupted run left.
         cluster: where the tiles are computed: None for here, else see `cluster.run_on_cluster`.
 
     Returns:
@@ -92,7 +92,7 @@ def estimate_in_tiles(
 
 @dataclass(frozen=True)
 class _Job:
-    """The stages, each of which goes on where an interrupted one ended."""
+    """The stages; each continues where an interrupted one ended."""
 
     store: Store
     stream: CloudStream
@@ -207,7 +207,7 @@ def _open_store(folder: Path, identity: dict[str, Any], resume: bool) -> Store:
 
 
 def _identity(source: Path, options: EstimateOptions, files: FileOptions) -> dict[str, Any]:
-    """What results depend on."""
+    """The input and the options that the results depend on."""
     state = source.stat()
     settings = {name: value for name, value in asdict(options).items() if name not in _NOT_IN_RESULTS}
     described: dict[str, Any] = {

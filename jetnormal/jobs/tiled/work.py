@@ -1,4 +1,4 @@
-"""What is done with a tile: the directions of its points, and later their signs. It needs the folder alone."""
+"""The tasks of a tile: find the directions of its points, and later their signs. They need the folder alone."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _read_thinned(folder: Path, stamp: tuple[int, int]) -> Thinned:
 
 
 def find_directions(store: Store, plan: Plan, tile: int, options: EstimateOptions, estimator: Estimator) -> None:
-    """Estimate the directions of a tile, which sees what lies around it."""
+    """Estimate the directions of a tile, with its halo as further neighbors."""
     points = np.array(store.raw("points", tile))
     first, copies = distinct(points)
     core = points[first]
@@ -117,7 +117,7 @@ def find_signs(store: Store, plan: Plan, tile: int, options: EstimateOptions) ->
 
 
 def signs_are_local(plan: Plan, options: EstimateOptions) -> bool:
-    """Tell whether what is near a point tells its sign."""
+    """Tell whether the sign of a point follows from its surroundings alone."""
     return plan.sensors is not None or options.orient in ("up", "none")
 
 
