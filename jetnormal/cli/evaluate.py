@@ -13,7 +13,7 @@ from jetnormal.cli.derive import with_options
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
 from jetnormal.errors import UsageError
 from jetnormal.evaluation.options import EvaluateOptions
-from jetnormal.jobs.options import complete_model, parse_vector
+from jetnormal.jobs.parsing import complete_model, parse_vector
 from jetnormal.support.report import logger, print_json
 
 

@@ -11,7 +11,7 @@ import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.jobs.options import complete_model
+from jetnormal.jobs.parsing import complete_model
 from jetnormal.support.report import print_json
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, cloud_from_
 from jetnormal.formats.npz import load_all
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import to_storable
-from jetnormal.formats.streams import ROWS, CloudStream, RowWriter, SameLayout, from_table, memory_of
+from jetnormal.formats.streams import ROWS, CloudStream, RowWriter, SameLayout, from_table, memory_of, write_whole
 from jetnormal.formats.text_columns import SKIPPED, Layout
 
 ENCODINGS = ("binary",)
@@ -127,9 +127,7 @@ def write_npy(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     Returns:
         What could not be kept.
     """
-    writer = _Rows(len(cloud), stream)
-    writer.write(cloud)
-    return writer.finish()
+    return write_whole(_Rows(len(cloud), stream), cloud)
 
 
 def write_rows(first: Cloud, points: int, box: NDArray[np.float64], stream: BinaryIO, encoding: str) -> RowWriter:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,42 +17,13 @@ from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats import lzf
 from jetnormal.formats.columns import Columns, UniqueNames, cloud_from_columns, columns_from_cloud
+from jetnormal.formats.pcd_header import ENCODINGS, TYPES, Header, header_text, read_header
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import pack_colors, to_storable
-from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_table, mapped
+from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_table, mapped, write_whole
 from jetnormal.formats.table import format_rows, read_table
 
-ENCODINGS = ("binary", "binary_compressed", "ascii")
-
-_TITLE = ".PCD v0.7 - Point Cloud Data file format"
 _NORMALS = ("normal_x", "normal_y", "normal_z")
-IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-_TYPES = frozenset(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"))
-_FIELD_KEYS = ("FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT")
-_CLOUD_KEYS = ("VERSION", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-_LONGEST_HEADER_LINE = 65536
-
-
-@dataclass(frozen=True)
-class _Header:
-    dtype: np.dtype[Any]
-    """One point: a structured type whose fields with COUNT > 1 are sub-arrays."""
-    padding: frozenset[str]
-    """The fields that PCL calls ``_``: gaps of its structures in memory, which its binary files hold, too."""
-    width: int
-    height: int
-    viewpoint: tuple[float, ...]
-    encoding: str
-    comments: tuple[str, ...]
-    lines: int
-
-    @property
-    def points(self) -> int:
-        return self.width * self.height
-
-    @property
-    def columns(self) -> int:
-        return sum(int(np.prod(self.dtype[name].shape)) for name in self.dtype.names or ())
 
 
 def read(path: Path) -> Cloud:
@@ -63,7 +33,7 @@ def read(path: Path) -> Cloud:
         InputError: if the file is no PCD file, is damaged, or holds no coordinates.
     """
     with path.open("rb") as stream:
-        header = _read_header(stream, path)
+        header = read_header(stream, path)
         size = path.stat().st_size - stream.tell()
         if header.encoding == "ascii":
             columns = _read_ascii(stream, header, size, path)
@@ -82,7 +52,7 @@ def stream(path: Path) -> CloudStream:
         InputError: the file is text or compressed, or as `read`.
     """
     with path.open("rb") as file:
-        header = _read_header(file, path)
+        header = read_header(file, path)
         if header.encoding != "binary":
             raise InputError(f"{path}: is not read in pieces: of PCD files, those with DATA binary are")
         _check_size(header, header.points * header.dtype.itemsize, path.stat().st_size - file.tell(), path)
@@ -90,7 +60,7 @@ def stream(path: Path) -> CloudStream:
     return from_table(table, _source(header), path, header.padding)
 
 
-def _source(header: _Header) -> Source:
+def _source(header: Header) -> Source:
     return Source(
         format="pcd",
         encoding=header.encoding,
@@ -101,56 +71,7 @@ def _source(header: _Header) -> Source:
     )
 
 
-def _read_header(stream: BinaryIO, path: Path) -> _Header:
-    entries: dict[str, list[str]] = {}
-    comments: list[str] = []
-    lines = 0
-    while "DATA" not in entries:
-        raw = stream.readline(_LONGEST_HEADER_LINE)
-        lines += 1
-        text = raw.decode("utf-8-sig", "surrogateescape").strip()
-        if text.startswith("#"):
-            comments.append(text[1:].strip())
-        elif text:
-            key, *values = text.split()
-            if key not in (*_FIELD_KEYS, *_CLOUD_KEYS):
-                raise InputError(f"{path}: line {lines}: {text[:40]!r} is no PCD header; is this a PCD file?")
-            entries["FIELDS" if key == "COLUMNS" else key] = values
-        elif not raw:
-            raise InputError(f"{path}: the PCD header has no DATA line; the file is truncated or no PCD file")
-    try:
-        return _interpret(entries, tuple(comments), lines)
-    except ValueError as error:
-        raise InputError(f"{path}: damaged PCD header ({error}); correct it or export the file again") from None
-
-
-def _interpret(entries: dict[str, list[str]], comments: tuple[str, ...], lines: int) -> _Header:
-    fields = entries.get("FIELDS", [])
-    counts = [int(count) for count in entries.get("COUNT", ["1"] * len(fields))]
-    sizes, kinds = entries.get("SIZE", []), entries.get("TYPE", [])
-    if not fields or not len(fields) == len(sizes) == len(kinds) == len(counts):
-        raise ValueError("FIELDS, SIZE, TYPE and COUNT do not have the same number of entries")
-    described: list[tuple[str, str, tuple[int, ...]]] = []
-    unique = UniqueNames()
-    for name, size, kind, count in zip(fields, sizes, kinds, counts, strict=True):
-        if kind.lower() + size not in _TYPES or count < 1:
-            raise ValueError(f"field {name!r} has TYPE {kind}, SIZE {size} and COUNT {count}")
-        described.append((unique.add(name), "<" + kind.lower() + size, () if count == 1 else (count,)))
-    padding = frozenset(field[0] for field, name in zip(described, fields, strict=True) if name == "_")
-    declared = {key: int(" ".join(entries[key])) for key in ("WIDTH", "HEIGHT", "POINTS") if key in entries}
-    width, height = declared.get("WIDTH", declared.get("POINTS", -1)), declared.get("HEIGHT", 1)
-    if width < 0 or height < 0 or declared.get("POINTS", width * height) != width * height:
-        raise ValueError(f"the number of points is unclear: {declared}")
-    viewpoint = tuple(float(value) for value in entries.get("VIEWPOINT", IDENTITY))
-    encoding = " ".join(entries["DATA"])
-    if len(viewpoint) != 7:
-        raise ValueError("VIEWPOINT does not hold 7 numbers")
-    if encoding not in ENCODINGS:
-        raise ValueError(f"DATA {encoding} is none of {', '.join(ENCODINGS)}")
-    return _Header(np.dtype(described), padding, width, height, viewpoint, encoding, comments, lines)
-
-
-def _read_ascii(stream: BinaryIO, header: _Header, size: int, path: Path) -> Columns:
+def _read_ascii(stream: BinaryIO, header: Header, size: int, path: Path) -> Columns:
     _check_size(header, header.points * 2 * header.columns - 1, size, path)
     table = read_table(
         stream,
@@ -165,12 +86,12 @@ def _read_ascii(stream: BinaryIO, header: _Header, size: int, path: Path) -> Col
     return _fields(table)
 
 
-def _read_binary(stream: BinaryIO, header: _Header, size: int, path: Path) -> Columns:
+def _read_binary(stream: BinaryIO, header: Header, size: int, path: Path) -> Columns:
     _check_size(header, header.points * header.dtype.itemsize, size, path)
     return _fields(np.fromfile(stream, header.dtype, header.points))
 
 
-def _read_compressed(stream: BinaryIO, header: _Header, size: int, path: Path) -> Columns:
+def _read_compressed(stream: BinaryIO, header: Header, size: int, path: Path) -> Columns:
     """The fields lie one after another (all x, then all y, ...), packed as a whole."""
     if header.points == 0:
         return _fields(np.empty(0, header.dtype))
@@ -197,7 +118,7 @@ def _read_compressed(stream: BinaryIO, header: _Header, size: int, path: Path) -
     return columns
 
 
-def _check_size(header: _Header, needed: int, size: int, path: Path) -> None:
+def _check_size(header: Header, needed: int, size: int, path: Path) -> None:
     if needed > size:
         raise InputError(
             f"{path}: declares {header.points} points, which need at least {needed} bytes, but {size} follow "
@@ -219,9 +140,7 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     Returns:
         What could not be kept.
     """
-    writer = _Rows(len(cloud), stream, encoding)
-    writer.write(cloud)
-    return writer.finish()
+    return write_whole(_Rows(len(cloud), stream, encoding), cloud)
 
 
 def write_rows(first: Cloud, points: int, box: NDArray[np.float64], stream: BinaryIO, encoding: str) -> RowWriter:
@@ -248,7 +167,7 @@ class _Rows:
         columns, warnings = columns_from_cloud(cloud, _NORMALS, np.dtype(np.float32))
         if cloud.source.format != "pcd":
             columns = pack_colors(columns)
-        columns, changed = to_storable(columns, _TYPES, vectors=True)
+        columns, changed = to_storable(columns, TYPES, vectors=True)
         if "_" in columns:  # which means padding
             free = UniqueNames(columns).add("column")
             columns = {free if name == "_" else name: values for name, values in columns.items()}
@@ -260,7 +179,7 @@ class _Rows:
         self._layout.check(columns, warnings + changed)
         if self._warnings is None:
             self._warnings = warnings + changed
-            header = _header_text(cloud.source, self._points, columns, self._encoding)
+            header = header_text(cloud.source, self._points, columns, self._encoding)
             self._stream.write(header.encode("utf-8", "surrogateescape"))
         for chunk in _body(columns, self._encoding):
             self._stream.write(chunk)
@@ -285,29 +204,6 @@ def _printable_color(name: str, values: NDArray[Any]) -> NDArray[Any]:
     if name in ("rgb", "rgba") and values.dtype == np.float32 and not np.isfinite(values).all():
         return np.ascontiguousarray(values).view(np.uint32)
     return values
-
-
-def _header_text(source: Source, points: int, columns: Columns, encoding: str) -> str:
-    width, height = source.width or 0, source.height or 0
-    if width * height != points:  # points were removed, or the format had no such thing
-        width, height = points, 1
-    counts = [int(np.prod(values.shape[1:])) for values in columns.values()]
-    own_comments = source.format == "pcd"
-    comments = source.comments if own_comments else (_TITLE, *source.comments)
-    lines = [f"# {comment}".rstrip() for comment in comments]
-    lines += [
-        "VERSION 0.7",
-        "FIELDS " + " ".join(columns),
-        "SIZE " + " ".join(str(values.dtype.itemsize) for values in columns.values()),
-        "TYPE " + " ".join(values.dtype.kind.upper() for values in columns.values()),
-        "COUNT " + " ".join(map(str, counts)),
-        f"WIDTH {width}",
-        f"HEIGHT {height}",
-        "VIEWPOINT " + " ".join(repr(v).removesuffix(".0") for v in source.viewpoint or IDENTITY),
-        f"POINTS {points}",
-        f"DATA {encoding}",
-    ]
-    return "\n".join(lines) + "\n"
 
 
 def _body(columns: Columns, encoding: str) -> Iterator[bytes | memoryview]:

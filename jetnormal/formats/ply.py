@@ -24,7 +24,7 @@ from jetnormal.formats.ply_header import BYTE_ORDERS, ENCODINGS, TYPE_NAMES, Ele
 from jetnormal.formats.ply_rows import format_element, read_element
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import to_storable, unpack_colors
-from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_table, mapped
+from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_table, mapped, write_whole
 
 
 @dataclass(frozen=True)
@@ -186,9 +186,7 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     Returns:
         What could not be kept.
     """
-    writer = _Rows(len(cloud), stream, encoding)
-    writer.write(cloud)
-    return writer.finish()
+    return write_whole(_Rows(len(cloud), stream, encoding), cloud)
 
 
 def write_rows(first: Cloud, points: int, box: NDArray[np.float64], stream: BinaryIO, encoding: str) -> RowWriter:

@@ -56,6 +56,12 @@ class RowWriter(Protocol):
         ...
 
 
+def write_whole(writer: RowWriter, cloud: Cloud) -> list[str]:
+    """Write a cloud as a single piece; return what could not be kept."""
+    writer.write(cloud)
+    return writer.finish()
+
+
 class SameLayout:
     """Sees to it that the columns of all pieces have the names and types of those of the first.
 

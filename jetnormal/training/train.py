@@ -10,7 +10,8 @@ from typing import Any
 
 import torch
 
-from jetnormal.data.sources import VALIDATION_LIST, DataSource, open_dataset
+from jetnormal.data.dataset import open_dataset
+from jetnormal.data.sources import VALIDATION_LIST, DataSource
 from jetnormal.errors import InputError
 from jetnormal.networks.patchfit.network import parameter_count
 from jetnormal.support.report import logger
@@ -102,7 +103,7 @@ def recipe_of_run(folder: Path) -> Recipe:
 
 
 def open_training(data: DataOptions) -> DataSource:
-    """Open the training clouds; errors as `data.sources.open_dataset`."""
+    """Open the training clouds; errors as `data.dataset.open_dataset`."""
     return open_dataset(
         data.folders,
         synthetic=data.synthetic,

@@ -12,7 +12,8 @@ import pytest
 from shapes import sphere
 
 from jetnormal.cli.app import main
-from jetnormal.data.sources import MeshFolder, Mixture, PcpnetFolder, SyntheticSolids
+from jetnormal.data.dataset import Mixture
+from jetnormal.data.sources import MeshFolder, PcpnetFolder, SyntheticSolids
 from jetnormal.estimators.factory import make_estimator
 from jetnormal.networks.patchfit.network import CONFIGS
 from jetnormal.training import train as training

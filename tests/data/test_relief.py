@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from jetnormal.data.dataset import WithRelief
 from jetnormal.data.relief import STEEPEST, add_relief
-from jetnormal.data.sources import SyntheticSolids, WithRelief
+from jetnormal.data.sources import SyntheticSolids
 
 
 def plane(side: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,15 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jetnormal.data.dataset import Mixture, open_dataset
 from jetnormal.data.scanners.draw import FAMILIES
 from jetnormal.data.sources import (
     LabeledCloud,
     MeshFolder,
-    Mixture,
     PcpnetFolder,
     ScannedSurfaces,
     SyntheticSolids,
-    open_dataset,
 )
 from jetnormal.errors import InputError, UsageError
 

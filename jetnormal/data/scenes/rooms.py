@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from jetnormal.data.scenes.furniture import AGAINST_WALLS, FURNITURE, ottoman, small, tank
 from jetnormal.data.scenes.layout import Floor, Scene
-from jetnormal.data.scenes.props import AGAINST_WALLS, FURNITURE, Rng, ottoman, small, tank
-from jetnormal.data.scenes.surfaces import Floats, Piece, box, frustum, grid, joined, rectangle, tube, wall
+from jetnormal.data.scenes.surfaces import Floats, Piece, Rng, box, frustum, grid, joined, rectangle, tube, wall
 
 MARGIN = 0.3  # between the middle of a thing and the walls
 

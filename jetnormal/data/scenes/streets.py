@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from jetnormal.data.scenes.layout import Floor, Scene
-from jetnormal.data.scenes.props import Rng, car, facade, fence, house, person, pole, tree
-from jetnormal.data.scenes.surfaces import Floats, Piece, box, height_field, rectangle
+from jetnormal.data.scenes.outdoors import car, facade, fence, house, person, pole, tree
+from jetnormal.data.scenes.surfaces import Floats, Piece, Rng, box, height_field, rectangle
 
 
 def street(rng: Rng) -> Scene:

@@ -17,6 +17,7 @@ from jetnormal.data.solids.starshaped import StarShaped
 from jetnormal.geometry.vectors import unit
 
 Floats = NDArray[np.float64]
+Rng = np.random.Generator
 
 
 @dataclass(frozen=True)

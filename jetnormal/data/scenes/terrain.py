@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 from jetnormal.data.scenes.layout import Floor, Scene
-from jetnormal.data.scenes.props import Rng, car, fence, house, pole, tree
-from jetnormal.data.scenes.surfaces import Floats, frustum, height_field
+from jetnormal.data.scenes.outdoors import car, fence, house, pole, tree
+from jetnormal.data.scenes.surfaces import Floats, Rng, frustum, height_field
 
 
 class Hills:

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.data.solids.primitives import Floats, Primitive
+from jetnormal.data.solids.primitives import Primitive
+from jetnormal.data.solids.sampling import Floats
 from jetnormal.mesh import Mesh
 
 

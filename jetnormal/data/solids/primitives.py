@@ -6,18 +6,15 @@ plates, capsules and spheres, `Lathe` makes cylinders, cones and vases.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import reduce
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from jetnormal.data.solids.grids import grid_faces, half_circle, revolved
+from jetnormal.data.solids.sampling import Floats, arc_angles, distance_to_corner, normalized, rejected, revolve
 from jetnormal.mesh import Mesh
-
-Floats = NDArray[np.float64]
 
 
 class Primitive(Protocol):
@@ -71,7 +68,7 @@ class RoundedBox:
 
     def implicit(self, points: Floats) -> Floats:
         """See `Primitive.implicit`; this is the signed distance."""
-        return _distance_to_corner(np.abs(points) - self._half) - self._radius
+        return distance_to_corner(np.abs(points) - self._half) - self._radius
 
     def mesh(self) -> Mesh:
         """See `Primitive.mesh`."""
@@ -119,16 +116,16 @@ class RoundedCylinder:
         rho[:caps] *= np.sqrt(rng.random(caps))
         tilt = np.zeros(count)
         tilt[:caps] = np.pi / 2 * rng.choice([-1, 1], caps)
-        tilt[caps + wall :] = _arc_angles(self._core, self._radius, np.pi / 2, fillets, rng)
+        tilt[caps + wall :] = arc_angles(self._core, self._radius, np.pi / 2, fillets, rng)
         z = self._half_height * np.sign(tilt)
         z[caps : caps + wall] = self._half_height * rng.uniform(-1, 1, wall)
-        return _revolve(rho, z, np.cos(tilt), np.sin(tilt), self._radius, rng)
+        return revolve(rho, z, np.cos(tilt), np.sin(tilt), self._radius, rng)
 
     def implicit(self, points: Floats) -> Floats:
         """See `Primitive.implicit`; this is the signed distance."""
         rho, height = np.hypot(points[:, 0], points[:, 1]), np.abs(points[:, 2])
         corner = np.stack([rho - self._core, height - self._half_height], axis=1)
-        return _distance_to_corner(corner) - self._radius
+        return distance_to_corner(corner) - self._radius
 
     def mesh(self) -> Mesh:
         """See `Primitive.mesh`."""
@@ -152,9 +149,9 @@ class Torus:
 
     def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """See `Primitive.sample`."""
-        tilt = _arc_angles(self._major, self._minor, np.pi, count, rng)
+        tilt = arc_angles(self._major, self._minor, np.pi, count, rng)
         center = np.full(count, self._major)
-        return _revolve(center, np.zeros(count), np.cos(tilt), np.sin(tilt), self._minor, rng)
+        return revolve(center, np.zeros(count), np.cos(tilt), np.sin(tilt), self._minor, rng)
 
     def implicit(self, points: Floats) -> Floats:
         """See `Primitive.implicit`; this is the signed distance."""
@@ -219,7 +216,7 @@ class Lathe:
         caps = np.repeat([-1.0, 1.0], [bottom, top])
         outward = np.concatenate([1 / np.hypot(1, rise), np.zeros(bottom + top)])
         upward = np.concatenate([-rise / np.hypot(1, rise), caps])
-        return _revolve(rho, z, outward, upward, 0.0, rng)
+        return revolve(rho, z, outward, upward, 0.0, rng)
 
     def implicit(self, points: Floats) -> Floats:
         """See `Primitive.implicit`."""
@@ -263,62 +260,3 @@ class ConvexPolyhedron:
         outward = (facing * self._planes[:, :3]).sum(1) > 0
         faces = np.arange(self._corners.shape[0] * 3).reshape(-1, 3)
         return Mesh(self._corners.reshape(-1, 3), np.where(outward[:, None], faces, faces[:, ::-1]))
-
-
-def rejected(
-    propose: Callable[[int], Floats],
-    acceptance: Callable[[Floats], Floats],
-    count: int,
-    rng: np.random.Generator,
-) -> Floats:
-    """Draw `count` values by rejection sampling.
-
-    Args:
-        propose: returns as many proposals as asked for, along the first axis.
-        acceptance: returns the probability of each to be kept.
-        count: number of proposals to return.
-        rng: source of randomness.
-    """
-    kept = propose(0)
-    rate = 0.5
-    while len(kept) < count:
-        proposals = propose(int((count - len(kept)) / rate * 1.1) + 16)
-        good = proposals[rng.random(len(proposals)) < acceptance(proposals)]
-        rate = max(len(good) / len(proposals), 0.01)
-        kept = np.concatenate([kept, good])
-    return kept[:count]
-
-
-def normalized(vectors: Floats) -> Floats:
-    """Scale vectors (N, 3) to length one."""
-    return vectors / np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]  # much faster than linalg.norm
-
-
-def _revolve(
-    rho: Floats, z: Floats, outward: Floats, upward: Floats, radius: float, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Make a surface of revolution from points (rho, z) of a profile, each turned by a random angle around z.
-
-    The points are moved by `radius` along their normals (outward, upward) first.
-    """
-    angle = rng.uniform(0, 2 * np.pi, len(rho))
-    cos, sin = np.cos(angle), np.sin(angle)
-    normals = np.stack([outward * cos, outward * sin, upward], axis=1)
-    return np.stack([rho * cos, rho * sin, z], axis=1) + radius * normals, normals
-
-
-def _arc_angles(center: float, radius: float, reach: float, count: int, rng: np.random.Generator) -> Floats:
-    """Draw angles in [-reach, reach] on a circle around rho = `center`, uniform by area once revolved."""
-    return rejected(
-        lambda n: rng.uniform(-reach, reach, n),
-        lambda tilt: (center + radius * np.cos(tilt)) / (center + radius),
-        count,
-        rng,
-    )
-
-
-def _distance_to_corner(offsets: Floats) -> Floats:
-    """Compute the signed distance (N,) from offsets (N, D) to the corner region where all of them are negative."""
-    outside = np.maximum(offsets, 0)
-    largest = reduce(np.maximum, offsets.T)  # much faster than max(axis=1)
-    return np.sqrt(np.einsum("ij,ij->i", outside, outside)) + np.minimum(largest, 0)

@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from jetnormal.data.solids.csg import Part, Solid
 from jetnormal.data.solids.primitives import (
     ConvexPolyhedron,
-    Floats,
     Lathe,
     Primitive,
     RoundedBox,
     RoundedCylinder,
     Torus,
 )
+from jetnormal.data.solids.sampling import Floats
 from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
 
 

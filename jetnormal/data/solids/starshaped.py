@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jetnormal.data.solids.grids import SIDES, half_circle, revolved
-from jetnormal.data.solids.primitives import Floats, normalized, rejected
+from jetnormal.data.solids.sampling import Floats, normalized, rejected
 from jetnormal.geometry.vectors import fibonacci_sphere
 from jetnormal.mesh import Mesh
 
