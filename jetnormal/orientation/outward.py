@@ -120,7 +120,7 @@ def _purity(votes: Votes, parts: Parts) -> Floats:
 
 
 def _weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Floats:
-    """Find signs of patches (M,), -1 to 1, from couplings and votes; where noise hides these, from winding numbers, too.
+    """Find signs of patches (M,), -1 to 1, from couplings and votes; where noise hides these, from winding numbers.
 
     A patch with votes for both sides counts little.
     """
