@@ -20,7 +20,7 @@ from jetnormal.geometry.neighbors import NeighborIndex, distinct, spatial_order
 TOGETHER = 1_000_000  # points that are looked at together, about: a larger cloud is cut into blocks
 HALO_SHARE = 1.0  # points of the halo for each point of the core, at most
 CORE = round(TOGETHER / (1 + HALO_SHARE))  # points of a block, about, whose normals are kept
-BYTES = 1000  # of memory for each point that is looked at, at the peak
+BYTES = 1200  # of memory for each point that is looked at, at the peak
 SPACING_NEIGHBORS = 16
 SAMPLE = 4096  # points, at least, that tell the spacing of a cell, where there are as many
 WIDEST = 8.0  # spacing, over that of as many points evenly across the box
@@ -35,6 +35,11 @@ def core_that_fits(memory: int) -> int:
 def bytes_of(core: int) -> int:
     """The memory that a block with a core of so many points takes with its halo, at most."""
     return round(core * (1 + HALO_SHARE) * BYTES)
+
+
+def bytes_together(points: int) -> int:
+    """The memory that is taken for a cloud of so many points, in one look or in blocks."""
+    return min(points, TOGETHER) * BYTES
 
 
 def in_blocks(

@@ -210,9 +210,13 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
     with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
         prediction, name, warnings = predict(points, estimator, options, advance)
+    prediction = replace(prediction, rough=prediction.normals)  # nobody asks for it any more
+    del points  # the signs take most memory: they work on a copy of their own
     with timer.stage("orient"):
         known = None if sensors is None else sensors.of(rows[first])
-        orientation, decision = settle(points, prediction.normals, options.orient, known, cloud.source)
+        orientation, decision = settle(
+            cloud.points[rows[first]], prediction.normals, options.orient, known, cloud.source
+        )
     warnings += decision.warnings()
 
     def spread(values: NDArray[Any]) -> NDArray[Any]:

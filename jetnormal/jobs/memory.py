@@ -10,14 +10,15 @@ from pathlib import Path
 
 from jetnormal import formats
 from jetnormal.errors import InputError, ResourceError
-from jetnormal.estimators.blocks import bytes_of, core_that_fits
+from jetnormal.estimators.blocks import bytes_of, bytes_together, core_that_fits
 from jetnormal.formats import CloudStream
 from jetnormal.jobs.options import LargeOptions, ReadOptions
 from jetnormal.support.report import logger
 
 SHARE = 0.6  # of the machine's memory
 PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
-PER_POINT = 1750  # bytes of a cloud that is computed at once, at the peak: when the signs are chosen
+PER_POINT = 550  # bytes of a cloud that is computed at once, when the signs are chosen
+HELD = 150  # bytes of it before, while blocks of it are looked at
 THINNED = 4_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
 BINARY = 16  # bytes of a point in a file that is not text: three float32 and some more
@@ -52,7 +53,7 @@ def at_once(path: Path, files: ReadOptions, limit: int) -> int:
     """
     known = formats.find_format(path, formats.format_for(path, files.format))
     try:
-        rough = PROGRAM + path.stat().st_size // _bytes_of_a_point(path) * PER_POINT
+        rough = peak(path.stat().st_size // _bytes_of_a_point(path))
         if known.stream is None or known.stream_reads_all or (known.name != "las" and rough <= limit):
             return rough
     except OSError:
@@ -61,7 +62,12 @@ def at_once(path: Path, files: ReadOptions, limit: int) -> int:
         stream = known.stream(path)
     except (OSError, InputError):  # damaged, or not read in pieces
         return rough
-    return PROGRAM + stream.points * (PER_POINT + 2 * stream.bytes_per_point)
+    return peak(stream.points) + 2 * stream.points * stream.bytes_per_point
+
+
+def peak(points: int) -> int:
+    """Bytes that a cloud of so many points takes: of the directions or the signs, whatever is more."""
+    return PROGRAM + max(points * PER_POINT, points * HELD + bytes_together(points))
 
 
 def _bytes_of_a_point(path: Path) -> int:

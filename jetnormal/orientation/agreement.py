@@ -8,6 +8,7 @@ growing noise the mirror test becomes unreliable, so it is blended back to n.n'.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.orientation.kernels import edge_agreement, join_edges, surest_first, third_smallest_height, turn_all
+from jetnormal.orientation.kernels import (
+    edge_agreement,
+    edge_votes,
+    join_edges,
+    surest_first,
+    third_smallest_height,
+    turn_all,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,6 +45,12 @@ PATCH_POINTS = 200  # at most: a wrong edge inside of a patch spoils no other
 # An edge longer than this many radii of its other end starts at a stray point: it joins nothing.
 BRIDGE_RADII = 3.0
 REVOTES = 3
+CHUNK = 100_000  # points
+
+
+def chunks(count: int) -> Iterator[slice]:
+    """Slices of so many points, for what takes much memory for each."""
+    return (slice(start, start + CHUNK) for start in range(0, count, CHUNK))
 
 
 class Surface:
@@ -44,32 +58,36 @@ class Surface:
 
     Attributes:
         points, normals: (N, 3), N >= 1; the normals are unit vectors of any sign.
-        neighbors: (N, k) indices of the nearest others.
+        neighbors: (N, k) int32 indices of the nearest others.
         radius: (N,) distance of the farthest of these.
         spacing: (N,) distance between points on a flat surface of the density found there.
         roughness: (N,) noise, as a height over the tangent plane; it levels off as noise exceeds the spacing.
-        edges: (N, k) agreement of the signs of a point and its neighbors (`kernels.edge_agreement`); 0 from stray
-            points.
-        lengths: (N, k) of the edges.
+        edges: (N, k) float32 agreement of the signs of a point and its neighbors (`kernels.edge_agreement`); 0 from
+            stray points.
     """
 
     def __init__(self, points: Floats, normals: Floats) -> None:
         self.points, self.normals = points, normals
         count = min(GRAPH_NEIGHBORS + 1, len(points))
-        neighbors, distances = NeighborIndex(points).query(points, count)
-        self.neighbors: Ints = neighbors[:, 1:]  # the nearest of distinct points is the point itself
-        self.radius: Floats = distances[:, -1]
+        self.neighbors = np.empty((len(points), count - 1), np.int32)
+        self.radius: Floats = np.empty(len(points))
+        index = NeighborIndex(points)
+        for rows in chunks(len(points)):
+            near, distances = index.query(points[rows], count)
+            self.neighbors[rows] = near[:, 1:]  # the nearest of distinct points is the point itself
+            self.radius[rows] = distances[:, -1]
         self.spacing: Floats = self.radius * np.sqrt(np.pi / max(1, count - 1))
         self.roughness = self._measure_roughness()
-        self.edges, self.lengths = np.empty(self.neighbors.shape), distances[:, 1:]
-        edge_agreement(points, normals, self.roughness, self.neighbors, ROUGHNESS_SCALE / 2, self.edges)
-        self.edges[self.lengths > BRIDGE_RADII * self.radius[self.neighbors]] = 0
+        self.edges = np.empty(self.neighbors.shape, np.float32)
+        edge_agreement(
+            points, normals, self.roughness, self.radius, self.neighbors, ROUGHNESS_SCALE / 2, BRIDGE_RADII, self.edges
+        )
 
     def _measure_roughness(self) -> Floats:
         if self.neighbors.shape[1] <= ROUGHNESS_RANK:
             return np.zeros(len(self.points))
         rank = third_smallest_height(self.points, self.normals, self.neighbors)
-        return np.asarray(rank[self.neighbors].mean(axis=1))
+        return np.concatenate([rank[self.neighbors[rows]].mean(axis=1) for rows in chunks(len(rank))])
 
     def turn(self, flips: Bools) -> None:
         """Turn the normals (N,) that are to flip."""
@@ -141,8 +159,9 @@ def patches(surface: Surface) -> tuple[Bools, Ints]:
     Returns:
         Which normals (N,) to flip so that they are consistent in every patch, and each point's patch (N,).
     """
+    edges = np.empty(0, np.uint32 if surface.edges.size < 2**32 else np.int64)
     order = surest_first(
-        surface.edges, surface.lengths, surface.radius, surface.neighbors, PATCH_AGREEMENT, LENGTH_WEIGHT, BUCKETS
+        surface.points, surface.edges, surface.radius, surface.neighbors, PATCH_AGREEMENT, LENGTH_WEIGHT, BUCKETS, edges
     )
     root = np.arange(len(surface.points))
     flips = np.zeros(len(root), dtype=np.bool_)
@@ -156,14 +175,18 @@ def couplings(surface: Surface, patch: Ints, flips: Bools) -> Any:
     It is the sum of c |c| over the edges c between two patches, times the ratio of this sum to the sum of c^2: many
     edges that contradict each other count less than a few that agree. flips (N,): which normals are taken as flipped.
     """
-    from scipy.sparse import coo_matrix
+    from scipy.sparse import coo_matrix, csr_matrix
 
     count = int(patch.max()) + 1
-    here, there = np.broadcast_to(patch[:, None], surface.neighbors.shape), patch[surface.neighbors]
-    between = (here != there) & (surface.edges != 0)
-    weight = np.where(flips[:, None] ^ flips[surface.neighbors], -surface.edges, surface.edges)[between]
-    places = here[between], there[between]
-    total, net = (coo_matrix((c * abs(weight), places), (count, count)).tocsr() for c in (abs(weight), weight))
+    total = net = csr_matrix((count, count))
+    for rows in chunks(len(patch)):
+        neighbors, edges = surface.neighbors[rows], surface.edges[rows]
+        here, there = np.broadcast_to(patch[rows, None], neighbors.shape), patch[neighbors]
+        between = (here != there) & (edges != 0)
+        weight = np.where(flips[rows, None] ^ flips[neighbors], -edges, edges)[between].astype(np.float64)
+        places = here[between], there[between]
+        total = total + coo_matrix((weight * weight, places), (count, count)).tocsr()
+        net = net + coo_matrix((weight * abs(weight), places), (count, count)).tocsr()
     total, net = (total + total.T) / 2, (net + net.T) / 2
     net.eliminate_zeros()
     return net.multiply(abs(net)).multiply(total.power(-1)).tocsr()
@@ -232,8 +255,6 @@ def relax(
 def revote(surface: Surface) -> Floats:
     """Turn points that most of their neighbors contradict; return how far the neighbors agree then (N,), 0 to 1."""
     for _ in range(REVOTES):
-        surface.turn((surface.edges * np.abs(surface.edges)).sum(axis=1) < 0)
-    squares = np.square(surface.edges)
-    total = squares.sum(axis=1)
-    vote = np.copysign(squares, surface.edges).sum(axis=1)
+        surface.turn(edge_votes(surface.edges)[0] < 0)
+    vote, total = edge_votes(surface.edges)
     return np.clip(vote / np.where(total > 0, total, 1), 0, 1)

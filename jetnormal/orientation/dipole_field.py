@@ -99,9 +99,11 @@ class DipoleField:
         """Find the field of moments (N, 3): outward unit normals times the areas that the points stand for."""
         from scipy.fft import irfftn, rfftn
 
-        charges = np.zeros(self._values.shape, dtype=np.float32)
-        add_dipoles(self._points, moments, self._corner, self.cell, charges)
-        self._values = irfftn(rfftn(charges) * self._response, s=charges.shape)
+        self._values[:] = 0  # the charges, and then the field: grids are large
+        add_dipoles(self._points, moments, self._corner, self.cell, self._values)
+        spectrum = rfftn(self._values)
+        spectrum *= self._response
+        self._values = irfftn(spectrum, s=self._values.shape, overwrite_x=True)
         self._values -= self._values[0, 0, 0]  # a corner is farthest from all points
 
     def at(self, places: Floats) -> Floats:

@@ -1,6 +1,7 @@
 """Compiled loops over points and edges. They run in one thread, so that results do not depend on the threads.
 
-Arrays are C-contiguous: float64 unless said otherwise, indices int64.
+Arrays are C-contiguous: float64 unless said otherwise, indices int64; the edges of N points to k neighbors are float32,
+and the neighbors int32.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from jetnormal.support.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Edges = NDArray[np.float32]
+Neighbors = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
 
 @compiled
-def third_smallest_height(points: Floats, normals: Floats, neighbors: Ints) -> Any:
+def third_smallest_height(points: Floats, normals: Floats, neighbors: Neighbors) -> Any:
     """Find the third smallest height (N,) of the neighbors (N, k), k >= 3, over each point's tangent plane."""
     result = np.empty(len(points))
     for i in range(len(points)):
@@ -40,12 +43,20 @@ def third_smallest_height(points: Floats, normals: Floats, neighbors: Ints) -> A
 
 @compiled
 def edge_agreement(
-    points: Floats, normals: Floats, roughness: Floats, neighbors: Ints, scale: float, out: Floats
+    points: Floats,
+    normals: Floats,
+    roughness: Floats,
+    radius: Floats,
+    neighbors: Neighbors,
+    scale: float,
+    bridge: float,
+    out: Edges,
 ) -> None:
     """Write how sure the signs of i and its neighbor j agree (1: surely, 0: unknown, -1: surely not) to out (N, k).
 
     n_j is mirrored in the bisector plane of the edge e before it is compared with n_i, which gives
-    n_i.n_j - 2 (n_i.e)(n_j.e) / |e|^2; roughness adds to |e|^2.
+    n_i.n_j - 2 (n_i.e)(n_j.e) / |e|^2; roughness adds to |e|^2. An edge longer than `bridge` times the radius (N,) of j
+    tells nothing.
     """
     for i in range(len(points)):
         for place in range(neighbors.shape[1]):
@@ -58,11 +69,12 @@ def edge_agreement(
                 along_j += normals[j, axis] * step
                 dot += normals[i, axis] * normals[j, axis]
             blur = scale * (roughness[i] + roughness[j])
-            out[i, place] = dot - 2 * along_i * along_j / (squared + blur * blur)
+            agreement = dot - 2 * along_i * along_j / (squared + blur * blur)
+            out[i, place] = agreement if squared <= (bridge * radius[j]) ** 2 else 0.0
 
 
 @compiled
-def turn_all(flips: Bools, neighbors: Ints, normals: Floats, edges: Floats) -> None:
+def turn_all(flips: Bools, neighbors: Neighbors, normals: Floats, edges: Edges) -> None:
     """Turn the normals (N, 3) that are to flip (N,), and the agreement (N, k) of the edges that join one to another."""
     for i in range(len(flips)):
         if flips[i]:
@@ -74,13 +86,26 @@ def turn_all(flips: Bools, neighbors: Ints, normals: Floats, edges: Floats) -> N
 
 
 @compiled
+def edge_votes(edges: Edges) -> Any:
+    """Sum the squares of the edges of each point, with their signs (N,) and without (N,)."""
+    net, total = np.zeros(len(edges)), np.zeros(len(edges))
+    for i in range(len(edges)):
+        for place in range(edges.shape[1]):
+            edge = float(edges[i, place])
+            net[i] += edge * abs(edge)
+            total[i] += edge * edge
+    return net, total
+
+
+@compiled
 def surest_first(
-    edges: Floats, lengths: Floats, radius: Floats, neighbors: Ints, least: float, length_weight: float, buckets: int
-) -> Any:
+    points: Floats, edges: Edges, radius: Floats, neighbors: Neighbors, least: float, length_weight: float,
+    buckets: int, kind: NDArray[Any],
+) -> Any:  # fmt: skip
     """Find the order of the edges (N, k) of least agreement or more, as rows of the flat array, the surest first.
 
     An edge's doubt is 1 - |agreement|, plus `length_weight` times its length over the radii (N,) of its ends. Edges
-    whose doubts fall into the same one of the buckets keep their order.
+    whose doubts fall into the same one of the buckets keep their order. The rows are of the type of the array `kind`.
     """
     scale = buckets / (1 - least + length_weight)
     bucket = np.empty(edges.size, np.uint16)
@@ -88,8 +113,11 @@ def surest_first(
     count = edges.shape[1]
     for i in range(len(edges)):
         for place in range(count):
-            agreement = abs(edges[i, place])
-            length = lengths[i, place] / (radius[i] + radius[neighbors[i, place]])
+            agreement = abs(float(edges[i, place]))
+            j, squared = neighbors[i, place], 0.0
+            for axis in range(3):
+                squared += (points[j, axis] - points[i, axis]) ** 2
+            length = np.sqrt(squared) / (radius[i] + radius[j])
             doubt = 1 - agreement + length_weight * length
             number = buckets if agreement < least else min(int(max(doubt, 0.0) * scale), buckets - 1)
             bucket[i * count + place] = number
@@ -97,7 +125,7 @@ def surest_first(
     total = 0
     for number in range(buckets + 1):
         start[number], total = total, total + start[number]
-    order = np.empty(start[buckets], np.int64)
+    order = np.empty(start[buckets], kind.dtype)
     for edge in range(len(bucket)):
         if bucket[edge] < buckets:
             order[start[bucket[edge]]] = edge
@@ -106,7 +134,7 @@ def surest_first(
 
 
 @compiled
-def join_edges(order: Ints, neighbors: Ints, edges: Floats, largest: int, root: Ints, flips: Bools) -> None:
+def join_edges(order: NDArray[Any], neighbors: Neighbors, edges: Edges, largest: int, root: Ints, flips: Bools) -> None:
     """Join the ends of edges to trees of at most `largest` points.
 
     order (E,): rows of the flat array of edges (N, k), which are negative where the signs of a point and its neighbor
@@ -114,7 +142,8 @@ def join_edges(order: Ints, neighbors: Ints, edges: Floats, largest: int, root: 
     whether a point's sign is opposite to its root's.
     """
     size = np.ones(len(root), np.int64)
-    for edge in order:
+    for number in range(len(order)):
+        edge = np.int64(order[number])
         i, place = edge // neighbors.shape[1], edge % neighbors.shape[1]
         a, odd_a = i, False
         while root[a] != a:

@@ -106,7 +106,8 @@ def choose_signs(
     elif method == "up":
         result.confidence[rows] = probability(used[:, 2], "sight")
     elif len(rows):
-        turned, found = _spread(points[rows].astype(np.float64), used, method)
+        del length
+        turned, found = _spread(points[rows].astype(np.float64, copy=False), used, method)
         flip ^= turned
         result.confidence[rows], result.open[rows] = found.sure, found.open
         result = replace(result, view=found.view)
@@ -126,13 +127,14 @@ def _sights(points: NDArray[Any], viewpoint: ArrayLike | None) -> Floats:
 
 
 def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Outcome]:
-    """Which unit normals (N, 3) to flip, and what was found; N >= 1."""
+    """Which unit normals (N, 3) to flip, and what was found; N >= 1. The points (N, 3) are moved."""
     middle = np.partition(points, len(points) // 2, axis=0)[len(points) // 2]  # whatever strays are where
-    points = points - middle  # far from the origin, projections would be coarse
+    points -= middle  # far from the origin, projections would be coarse
     first, copy_of = distinct(points)
     order = spatial_order(points[first])  # neighbors are near in memory, too
     first, copy_of = first[order], np.argsort(order)[copy_of]
     surface = Surface(points[first], normals[first])
+    del points, first, order
     if method == "mst":
         found = grow_tree(surface)
     elif method == "terrain":

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.orientation.agreement import Surface, relax
+from jetnormal.orientation.agreement import Surface, chunks, relax
 from jetnormal.orientation.parts import Parts
 
 Floats = NDArray[np.float64]
@@ -118,7 +118,8 @@ def _lean(surface: Surface, axis: Floats, among: Bools) -> tuple[float, int]:
     """How far the surface recedes, against the axis, at its borders, -1 to 1, and the number of border points."""
     if surface.neighbors.shape[1] < 3:
         return 0.0, 0
-    inner = surface.points[surface.neighbors].mean(axis=1) - surface.points
+    around = [surface.points[surface.neighbors[rows]].mean(axis=1) for rows in chunks(len(surface.points))]
+    inner = np.concatenate(around) - surface.points
     inner -= np.einsum("nd,nd->n", inner, surface.normals)[:, None] * surface.normals  # the rest of it is noise
     length = np.linalg.norm(inner, axis=1)
     border = among & (length > BORDER * surface.radius)

@@ -25,6 +25,7 @@ SLACK = 0.3  # of a pixel's side: a point this far below the topmost one of its 
 MIN_COSINE = 0.3  # a look along the surface tells nothing
 MAX_OCTAVES = 6  # of the spacing, above the median of an object; what is sparser hides nothing
 LEVEL_SHARE = 0.01  # of an object's points have a level of their own; fewer are strays, which hide nothing
+SPARE_PIXELS = 1.25  # of the table, over one for each point; most pixels hold several
 FARTHEST = 2.0**40  # pixels; what is farther away is drawn there
 EXTREME_SHARE = 0.01  # of a component's points vote, in each direction
 MIN_PURITY = 0.2  # votes for outward and inward that nearly cancel mean that there is no outside
@@ -68,11 +69,12 @@ def look(surface: Surface, component: Ints, *, alone: bool) -> Votes:
     level -= lowest.min()
     unit *= 2.0 ** float(lowest.min())
     lowest, highest = lowest - lowest.min(), highest - lowest.min()
-    size = 1 << int(2 * max(1, hides.sum()) - 1).bit_length()
+    size = 1 << int(SPARE_PIXELS * max(1, hides.sum())).bit_length()
     key, top, bottom = np.zeros(size, dtype=np.uint64), np.empty(size), np.empty(size)
     votes = np.zeros((len(level), 3))
     limit = FARTHEST * unit * PIXEL_SPACINGS
-    points = np.clip(surface.points, -limit, limit)
+    is_far = max(surface.points.max(), -surface.points.min()) > limit
+    points = np.clip(surface.points, -limit, limit) if is_far else surface.points
     for up in directions()[: VIEWS // 2]:
         see(
             points, surface.normals, _axes(up), PIXEL_SPACINGS * unit, MIN_COSINE, surface.roughness, SLACK,

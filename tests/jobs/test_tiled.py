@@ -167,7 +167,7 @@ def test_memory_is_estimated_without_reading(tmp_path, name):
     """By the header, or the size and the first lines: right within a factor of two."""
     write(sphere_cloud(), tmp_path / name)
     needed = memory.at_once(tmp_path / name, FileOptions(), limit=0) - memory.PROGRAM
-    assert 0.8 < needed / (5000 * memory.PER_POINT) < 2.5
+    assert 0.8 < needed / (memory.peak(5000) - memory.PROGRAM) < 2.5
 
 
 def test_an_output_that_is_written_again_gets_the_signs_of_its_own_cloud(tmp_path):
