@@ -1,5 +1,19 @@
-"""`python -m jetnormal`."""
+"""The entry point of the program `jetnormal`, and of `python -m jetnormal`."""
 
-from jetnormal.cli.app import program
+import sys
+from typing import NoReturn
 
-program()
+INTERRUPTED = 130  # as in `errors`; imports are what may be interrupted here
+
+
+def program() -> NoReturn:
+    """Run the command line; Ctrl-C while it is being imported ends it without a traceback, too."""
+    try:
+        from jetnormal.cli.app import program as run
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    run()
+
+
+if __name__ == "__main__":
+    program()

@@ -22,8 +22,10 @@ from jetnormal.cli.models import models
 from jetnormal.cli.preview import preview
 from jetnormal.cli.reconstruct import reconstruct
 from jetnormal.cli.train import train
-from jetnormal.errors import INTERRUPTED
+from jetnormal.errors import INTERRUPTED, ResourceError
 from jetnormal.support.extras import named_extras
+
+LEAST_ADDRESS_SPACE = 700 * 2**20  # bytes; with less, LLVM or OpenBLAS may abort the process instead of raising
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -70,10 +72,25 @@ def describe(
       0 done, 1 closed pipe or an error to report, 2 wrong usage, 3 unusable file,
       4 unusable model, 5 not enough memory or no such device, 130 interrupted
     """
+    _check_address_space()
+
+
+def _check_address_space() -> None:
+    """Refuse a limit on memory (`ulimit -v`) under which compiled libraries abort as they are loaded."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+        raise ResourceError(
+            f"the limit on memory (ulimit -v {limit // 1024}) is too low to load the libraries; "
+            f"set it to {LEAST_ADDRESS_SPACE // 1024} or more"
+        )
 
 
 def program() -> NoReturn:
-    """Run the command line and end the process at once; the entry point of the `jetnormal` program.
+    """Run the command line and end the process at once.
 
     All is written and closed by then. To take down the interpreter, the compiled loops and the arrays in order would
     take another third of a second.
@@ -83,6 +100,8 @@ def program() -> NoReturn:
         main()
     except SystemExit as end:
         code = end.code
+    except KeyboardInterrupt:  # while a failure is being reported
+        code = INTERRUPTED
     with suppress(OSError):  # nobody reads what is left in it
         sys.stderr.flush()
     os._exit(code if isinstance(code, int) else code is not None)

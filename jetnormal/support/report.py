@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from typing import Any, Protocol
 
 from jetnormal._version import __version__
@@ -83,9 +84,11 @@ def progress(description: str, total: int, unit: str = "points") -> Iterator[Adv
 
 
 def _in_notebook() -> bool:
-    """Whether the caller is a cell of Jupyter or of something like it."""
+    """Whether the caller is a cell of Jupyter, or of something like it, which can show a bar."""
     ipython: Any = sys.modules.get("IPython")
-    return ipython is not None and type(ipython.get_ipython()).__name__ == "ZMQInteractiveShell"
+    if ipython is None or type(ipython.get_ipython()).__name__ != "ZMQInteractiveShell":
+        return False
+    return find_spec("ipywidgets") is not None  # Rich draws with it, and warns where it is missing
 
 
 def _bar(description: str, total: int, unit: str) -> Iterator[Advance]:

@@ -169,6 +169,32 @@ def test_interrupt_exits_130_without_traceback(estimation, monkeypatch, capsys):
     assert "Traceback" not in capsys.readouterr().err
 
 
+def test_an_interrupt_while_modules_are_imported_exits_130_without_traceback(tmp_path):
+    """Ctrl-C in the first moments comes while the command line is imported."""
+    (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    command = [sys.executable, "-m", "jetnormal", "estimate", "in.ply", "-o", "out.ply"]
+    ended = subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (errors.INTERRUPTED, "")
+
+
+def test_a_limit_on_memory_that_libraries_abort_under_is_refused(tmp_path):
+    resource = pytest.importorskip("resource")
+    limit = 600_000 * 1024
+    command = [sys.executable, "-m", "jetnormal", "estimate", str(tmp_path / "in.xyz"), "-o", "out.ply"]
+    ended = subprocess.run(
+        command,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode == errors.ResourceError.exit_code
+    assert ended.stderr == (
+        "jetnormal: error: the limit on memory (ulimit -v 600000) is too low to load the libraries; "
+        "set it to 716800 or more\n"
+    )
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
