@@ -12,7 +12,8 @@ pytest.importorskip("ipykernel")
 
 CELLS = (
     "import jetnormal, numpy",
-    "points = numpy.random.default_rng(0).normal(size=(20_000, 3))\njetnormal.estimate(points, 'pca', orient='none').shape",
+    "points = numpy.random.default_rng(0).normal(size=(20_000, 3))",
+    "jetnormal.estimate(points, 'pca', orient='none').shape",
     "jetnormal.estimate(points[:1000], 'pca', orient='none').shape",
 )
 
@@ -25,7 +26,7 @@ def test_long_work_has_a_bar(tmp_path, monkeypatch):
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS])
     nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
-    _, long, short = ([output for output in cell.outputs] for cell in notebook.cells)
+    _, _, long, short = (list(cell.outputs) for cell in notebook.cells)
     widgets = [output for output in long if "application/vnd.jupyter.widget-view+json" in output.get("data", {})]
     assert len(widgets) == 1
     assert long[-1]["data"]["text/plain"] == "(20000, 3)"
