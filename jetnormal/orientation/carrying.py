@@ -31,7 +31,7 @@ class Thinned:
     Attributes:
         points: (M, 3).
         normals: (M, 3) unit vectors with their final signs.
-        sure: (M,) how sure each sign is, 0 to 1.
+        sure: (M,) how probably each sign is right, 0.5 to 1 (`methods.Orientation.confidence`).
     """
 
     points: Floats
@@ -43,14 +43,18 @@ class Thinned:
         """Of the points."""
         return NeighborIndex(self.points)
 
-    def votes(self, points: Floats, normals: Floats) -> tuple[Floats, Bools]:
-        """Votes (N,) of the thinned cloud for the signs of directions (N, 3), and which of the points it holds."""
+    def votes(self, points: Floats, normals: Floats) -> tuple[Floats, Bools, Floats]:
+        """Ask the thinned cloud about directions (N, 3).
+
+        Returns:
+            Votes (N,) for their signs, which of the points it holds, and how probably the nearest sign is right (N,).
+        """
         near, distances = self.index.query(points, min(NEAREST, len(self.points)))
         cosine = np.einsum("nd,nkd->nk", normals, self.normals[near])
         votes = HEARSAY * (cosine * np.abs(cosine) * self.sure[near]).mean(axis=1)
         is_own = distances[:, 0] == 0
         votes[is_own] = np.copysign(self.sure[near[is_own, 0]], cosine[is_own, 0])
-        return votes, is_own
+        return votes, is_own, self.sure[near[:, 0]]
 
 
 def carry_signs(points: Floats, normals: Floats, thinned: Thinned) -> tuple[Bools, Floats]:
@@ -62,13 +66,14 @@ def carry_signs(points: Floats, normals: Floats, thinned: Thinned) -> tuple[Bool
         thinned: the oriented points.
 
     Returns:
-        Which normals (N,) to flip, and how sure each sign is (N,), 0 to 1.
+        Which normals (N,) to flip, and how probably each sign is right (N,), 0.5 to 1; 0 where there is no direction. A
+        sign that was a guess in the thinned cloud stays one, however well its neighbors agree.
     """
     flips, sure = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points))
     rows = np.flatnonzero(np.isfinite(normals).all(axis=1))
     if not len(rows) or not len(thinned.points):
         return flips, sure
-    told, is_own = thinned.votes(points[rows], normals[rows])
+    told, is_own, right = thinned.votes(points[rows], normals[rows])
     if is_own.all():
         flips[rows], sure[rows] = told < 0, np.abs(told)
         return flips, sure
@@ -82,6 +87,7 @@ def carry_signs(points: Floats, normals: Floats, thinned: Thinned) -> tuple[Bool
     total, strength = float(np.abs(votes).sum()), float(abs(coupling).sum()) / 2
     belief = relax(coupling, votes * (TOLD * strength / total if total > 0 and strength > 0 else 1))
     surface.turn((belief < 0)[patch])
-    sure[rows] = revote(surface) * np.abs(belief)[patch]
+    agreed = revote(surface) * np.abs(belief)[patch]
+    sure[rows] = 0.5 + (np.bincount(patch, right, count) / np.bincount(patch) - 0.5)[patch] * agreed
     flips[rows] = np.einsum("nd,nd->n", surface.normals, normals[rows]) < 0
     return flips, sure

@@ -29,7 +29,17 @@ def test_signs_are_carried(shape):
     carried = np.where(flips[:, None], -scrambled, scrambled)
     right = np.einsum("nd,nd->n", carried, true) > 0
     assert right.mean() > 0.999
-    assert ((sure >= 0) & (sure <= 1)).all() and sure.mean() > 0.8
+    assert ((sure >= 0.5) & (sure <= 1)).all() and sure.mean() > 0.9
+
+
+def test_a_guess_stays_a_guess():
+    """Of two balls, one of which had its signs guessed."""
+    ball = even_sphere(2000)
+    points, normals = np.concatenate([ball, ball + np.array([5.0, 0, 0])]), np.concatenate([ball, ball])
+    known = np.where(points[::10, 0] < 2.5, 0.5, 1.0)
+    _, sure = carry_signs(points, normals, Thinned(points[::10], normals[::10], known))
+    np.testing.assert_array_equal(sure[:2000], 0.5)
+    assert sure[2000:].min() > 0.9
 
 
 def test_a_cloud_that_is_not_thinned_keeps_its_signs():
