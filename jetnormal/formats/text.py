@@ -41,6 +41,7 @@ _COMMENT = re.compile(rb"((?:#|//)[ \t]?)([^\r\n]*)")
 _PIECE = 1 << 24
 MOST_COLUMNS = 50_000  # each becomes an attribute
 _EXACT_INTEGERS = 2.0**53  # from here on a double cannot hold every integer
+_LARGEST_INTEGER = 2.0**63  # the largest int64 as a double
 
 
 def read(path: Path, *, suffix: str, columns: str | None = None, decimal: str | None = None) -> Cloud:
@@ -191,21 +192,20 @@ def _read_rows(stream: BinaryIO, preamble: Preamble, path: Path) -> tuple[list[N
 
 def _parse(stream: BinaryIO, preamble: Preamble, path: Path) -> list[NDArray[Any]]:
     """Columns of float64, or of int64 where only those hold the numbers (time stamps in nanoseconds)."""
-    read_rows = partial(
-        read_table,
-        path=path,
-        line=preamble.line,
-        columns=preamble.columns,
-        delimiter=preamble.delimiter if preamble.delimiter in ",;" else None,
-    )
+    delimiter = preamble.delimiter if preamble.delimiter in ",;" else None
     start = stream.tell()
-    columns: list[NDArray[Any]] = list(read_rows(stream, np.dtype(np.float64)).T)
+    numbers = read_table(
+        stream, np.dtype(np.float64), path=path, line=preamble.line, columns=preamble.columns, delimiter=delimiter
+    )
+    columns: list[NDArray[Any]] = list(numbers.T)
     largest = [np.abs(column).max() for column in columns]
-    for large in (index for index, size in enumerate(largest) if _EXACT_INTEGERS <= size < np.inf):
-        types = [(str(index), "i8" if index == large else "f8") for index in range(len(columns))]
+    large = [index for index, size in enumerate(largest) if _EXACT_INTEGERS <= size <= _LARGEST_INTEGER]
+    if large:
         stream.seek(start)
-        with suppress(InputError):  # large numbers that are no integers
-            columns[large] = read_rows(stream, np.dtype(types))[str(large)]
+        words = np.loadtxt(stream, str, comments=None, delimiter=delimiter, usecols=large, ndmin=2, encoding="latin1")
+        for index, column in zip(large, words.T, strict=True):
+            with suppress(ValueError, OverflowError):  # large numbers that are no integers
+                columns[index] = column.astype(np.int64)
     return columns
 
 

@@ -349,6 +349,16 @@ def test_names_of_digits_are_names(tmp_path):
     assert read(tmp_path / "a.csv").attributes["7"].tolist() == [3]
 
 
+def test_many_columns_of_large_numbers_are_parsed_twice_and_no_more(tmp_path, monkeypatch):
+    parsed = []
+    loadtxt = np.loadtxt
+    monkeypatch.setattr(np, "loadtxt", lambda *args, **options: parsed.append(1) or loadtxt(*args, **options))
+    (tmp_path / "a.txt").write_text("0 0 0" + " 999999999999999999 999999999999999999999 1e18 1.5e17" * 500 + "\n")
+    attributes = read(tmp_path / "a.txt").attributes
+    assert len(parsed) == 2
+    assert sum(values.dtype == np.int64 and values[0] == 999999999999999999 for values in attributes.values()) == 500
+
+
 def test_integers_beyond_doubles_are_exact_beside_large_coordinates(tmp_path):
     (tmp_path / "a.txt").write_text("# x y z label\n1e+16 0 0 9007199254740993\n")
     assert read(tmp_path / "a.txt").attributes["label"].tolist() == [9007199254740993]
