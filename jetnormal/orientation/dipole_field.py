@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from jetnormal.orientation.agreement import Surface
 from jetnormal.orientation.kernels import add_dipoles, read_grid
+from jetnormal.support.device import available_cores
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -101,9 +102,10 @@ class DipoleField:
 
         self._values[:] = 0  # the charges, and then the field: grids are large
         add_dipoles(self._points, moments, self._corner, self.cell, self._values)
-        spectrum = rfftn(self._values)
+        workers = available_cores()  # the values do not depend on them
+        spectrum = rfftn(self._values, workers=workers)
         spectrum *= self._response
-        self._values = irfftn(spectrum, s=self._values.shape, overwrite_x=True)
+        self._values = irfftn(spectrum, s=self._values.shape, workers=workers, overwrite_x=True)
         self._values -= self._values[0, 0, 0]  # a corner is farthest from all points
 
     def at(self, places: Floats) -> Floats:

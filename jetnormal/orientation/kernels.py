@@ -153,6 +153,9 @@ def join_edges(order: NDArray[Any], neighbors: Neighbors, edges: Edges, largest:
         while root[b] != b:
             odd_b ^= flips[b]
             b = root[b]
+        for end, top, odd in ((i, a, odd_a), (np.int64(neighbors[i, place]), b, odd_b)):
+            if end != top:  # the next climb from here is short
+                root[end], flips[end] = top, odd
         if a == b or size[a] + size[b] > largest:
             continue
         if size[a] < size[b] or (size[a] == size[b] and b < a):
