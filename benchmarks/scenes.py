@@ -14,9 +14,11 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jetnormal
+from jetnormal.evaluation.tables import make_tables, markdown
 
 CLASSICAL = ["pca:small", "pca:medium", "pca:large", "jet:small", "jet:medium", "jet:large"]
 MODELS = [*CLASSICAL, "cloudfit", "iternet", "deepfit-small", "adafit-small", "graphfit-small"]
@@ -51,7 +53,7 @@ def make_data(folder: Path, queries: int) -> dict[str, Path]:
 
 
 def main() -> None:
-    """Make the data, evaluate the models, print the table."""
+    """Make the data, evaluate the models, print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for data and results")
     parser.add_argument("--model", action="append", help=f"default: {' '.join(MODELS)}")
@@ -60,20 +62,15 @@ def main() -> None:
     options = parser.parse_args()
     models = options.model or MODELS
     options.out.mkdir(parents=True, exist_ok=True)
-    found = {}
     for name, data in make_data(options.out, options.queries).items():
-        found[name] = jetnormal.evaluate(data, models, results=options.out / f"kept_{name}")
+        found = jetnormal.evaluate(data, models, results=options.out / f"kept_{name}")
+        rmse, _, pgp10, _ = make_tables(found)
+        titled = [replace(table, title=f"{table.title}, {name} scenes") for table in (rmse, pgp10)]
+        print(markdown(titled), flush=True)
         if options.plots:
             from jetnormal.evaluation.plots import write_plots
 
-            write_plots(found[name], options.plots / name, up=(0, 0, 1))
-    kinds = list(SCANNERS)
-    print(f"| model | {' | '.join(kinds)} | average | rebuilt | rebuilt, PGP10 (%) |")
-    print("|---|" + "---:|" * 6)
-    for exact, rebuilt in zip(found["sampled"].models, found["rebuilt"].models, strict=True):
-        rmse = [exact.categories[kind].rmse for kind in kinds] + [exact.average.rmse, rebuilt.average.rmse]
-        cells = [f"{value:.2f}" for value in rmse] + [f"{100 * rebuilt.average.pgp10:.1f}"]
-        print(f"| `{exact.model}` | {' | '.join(cells)} |", flush=True)
+            write_plots(found, options.plots / name, up=(0, 0, 1))
 
 
 if __name__ == "__main__":
