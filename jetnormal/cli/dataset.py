@@ -16,12 +16,14 @@ def dataset(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to create.")],
     meshes: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of meshes (.ply .obj .off .stl .glb .gltf .npz), a shape each."),
+        typer.Option(metavar="DIR", help="Folder of meshes (.ply .obj .off .stl .glb .gltf .npz); each is a shape."),
     ] = None,
-    synthetic: Annotated[int, typer.Option(min=0, metavar="N", help="Number of procedural solids, a shape each.")] = 0,
+    synthetic: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Number of procedural solids; each is a shape.")
+    ] = 0,
     scenes: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of meshes of real scenes, or with a folder for each, as SceneNN's."),
+        typer.Option(metavar="DIR", help="Folder of meshes of scenes, or of a folder for each scene, as in SceneNN."),
     ] = None,
     synthetic_scenes: Annotated[
         int, typer.Option(min=0, metavar="N", help="Number of procedural scenes: rooms, streets and terrain in turn.")
@@ -30,15 +32,16 @@ def dataset(
         bool, typer.Option("--scans", help="Scan the shapes by virtual scanners instead of sampling them.")
     ] = False,
     points: Annotated[
-        int, typer.Option(min=3, metavar="N", help="Points of each cloud; a scan has about as many, at most these.")
+        int, typer.Option(min=3, metavar="N", help="Points of each cloud; for scans the largest number.")
     ] = 100_000,
     queries: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Points of each cloud in its .pidx, at most.")
+        int, typer.Option(min=1, metavar="N", help="Points of each cloud that its .pidx names, at most.")
     ] = 5_000,
     split: Annotated[
-        Literal["test", "training", "validation"], typer.Option(help="What the set is for: decides on its lists.")
+        Literal["test", "training", "validation"],
+        typer.Option(help="Purpose of the set, which decides how its lists are named."),
     ] = "test",
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all that is random.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Random seed.")] = 1,
     force: Annotated[bool, typer.Option("--force", help="Replace a folder that this command wrote.")] = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -46,13 +49,13 @@ def dataset(
 ) -> None:
     """Write a benchmark or a training set in PCPNet's layout.
 
-    Of each shape come PCPNet's six categories: clean points, three levels of Gaussian noise (0.125, 0.6 and 1.2 %
-    of the bounding box's diagonal), and points whose density has a gradient or stripes. With --scans they are what
-    six families of scanners see: stripe, depth, lidar, station, fused, photogrammetry. A scene gives one cloud of
-    sampled points, or with --scans, if it is procedural, one for each scanner that may stand in it.
+    Each shape gives a cloud for each of PCPNet's six categories: clean points, three levels of Gaussian noise (0.125,
+    0.6 and 1.2 % of the bounding box's diagonal), and points whose density has a gradient or stripes. With --scans it
+    gives a scan by each of six families of scanners: stripe, depth, lidar, station, fused, photogrammetry. A scene
+    gives one cloud of sampled points, or with --scans, if it is procedural, a scan by each scanner that suits it.
 
-    A cloud is NAME.xyz, NAME.normals and NAME.pidx, the points to evaluate or to learn from: stray points of a scan
-    are not among them. Of a scan, NAME.ply holds the points once more, with attributes sensor_x, sensor_y, sensor_z.
+    A cloud is NAME.xyz, NAME.normals and NAME.pidx, the points to evaluate or to learn from; stray points of a scan
+    are not among them. For a scan, NAME.ply also holds the points, with attributes sensor_x, sensor_y, sensor_z.
     Lists of clouds are testset_*.txt, one for each category, or trainingset_*.txt and validationset_*.txt (no_noise,
     whitenoise, vardensity_whitenoise). The same options give the same bytes.
 

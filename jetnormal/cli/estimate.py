@@ -94,7 +94,7 @@ def estimate(
 def _check_outputs(
     inputs: list[Path], output: Path | None, folder: Path | None, mesh: Path | None, batch: BatchOptions, json: bool
 ) -> None:
-    """Find out whether the options say one place for every result.
+    """Check that the options name one place for every result.
 
     Raises:
         UsageError: they do not.
@@ -136,7 +136,7 @@ def _estimate_many(
 
 
 def _report_one(result: dict[str, Any]) -> None:
-    """Log what became of one of many files; every message names it."""
+    """Log the result of one of many files; every message names the file."""
     source = result["input"]
 
     def naming(message: str) -> str:
@@ -152,7 +152,7 @@ def _report_one(result: dict[str, Any]) -> None:
 
 
 def check_mesh(mesh: Path, output: Path, orient: str, force: bool) -> None:
-    """Find out before the long work whether a mesh can be made and written.
+    """Check before the long work that a mesh can be made and written.
 
     Raises:
         UsageError: it would overwrite the cloud, or has no outside.
@@ -170,14 +170,14 @@ def check_mesh(mesh: Path, output: Path, orient: str, force: bool) -> None:
 
 
 def report_warnings(summary: dict[str, Any]) -> None:
-    """Log what the user should know, in the words of the command line."""
+    """Log warnings, with options spelled as flags."""
     summary["warnings"] = [spell(warning) for warning in summary["warnings"]]
     for warning in summary["warnings"]:
         logger.warning("%s", warning)
 
 
 def report_mesh(summary: dict[str, Any]) -> None:
-    """Log what mesh was made, and what the user should know about it."""
+    """Log the mesh that was made, and warnings about it."""
     report_warnings(summary)
     count = summary["components"]
     logger.info(
@@ -195,7 +195,7 @@ def report_mesh(summary: dict[str, Any]) -> None:
 
 
 def report(summary: dict[str, Any]) -> None:
-    """Log what was done, and what the user should know about it."""
+    """Log what was done, and warnings about it."""
     report_warnings(summary)
     logger.info(
         "wrote %s: %s of %s points have normals (model %s, signs %s: %s; %.1f s, %s points/s)",

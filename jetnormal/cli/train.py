@@ -29,7 +29,7 @@ def train(
             "--recipe",
             "-r",
             metavar="NAME|FILE",
-            help="What to train, and how.",
+            help="Recipe of the training: network, data, losses, schedule.",
             show_default="cloudfit",
             rich_help_panel="Training",
         ),
@@ -54,7 +54,7 @@ def train(
     ] = Path("run"),
     resume: Annotated[
         bool,
-        typer.Option("--resume", help="Go on with the run in RUN; --epochs may extend it.", rich_help_panel="Run"),
+        typer.Option("--resume", help="Continue the run in RUN; --epochs may extend it.", rich_help_panel="Run"),
     ] = False,
     tensorboard: Annotated[
         bool, typer.Option("--tensorboard", help="Also write TensorBoard events into RUN.", rich_help_panel="Run")

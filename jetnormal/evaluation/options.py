@@ -18,29 +18,32 @@ class EvaluateOptions(OptionSet):
     list_file: Annotated[
         str | None,
         Option(
-            "List of the clouds, in DIR.",
+            "File in DIR that lists the clouds.",
             names=("--list",), metavar="FILE", default="testset_all.txt, else all", group="Data",
         ),
     ] = None  # fmt: skip
-    all_points: Annotated[bool, Option("Evaluate all points, not those in NAME.pidx.", group="Data")] = False
+    all_points: Annotated[bool, Option("Evaluate all points instead of those in NAME.pidx.", group="Data")] = False
     normals: Annotated[
         tuple[str, ...],
         Option(
-            "Score another program's normals, too: DIR/CLOUD.normals has a row for each point, or for each that is "
-            "evaluated; repeat it to compare several.",
+            "Also score normals of another program: DIR/CLOUD.normals has a row for each point, or for each "
+            "evaluated point; repeatable.",
             metavar="NAME=DIR", group="Data",
         ),
     ] = ()  # fmt: skip
     orient: Annotated[
         Literal["none", "global", "mst", "viewpoint", "up"],
         Option(
-            "Choose signs, and score them, too; estimates all points. viewpoint: by NAME.ply of a scan.", group="Data"
+            "Choose signs as well and score them; all points are estimated. viewpoint: by NAME.ply of a scan.",
+            group="Data",
         ),
     ] = "none"
     results: Annotated[
         Path | None,
         Option(
-            "Folder that keeps the normals, so that an interrupted evaluation goes on.", metavar="DIR", group="Output"
+            "Folder in which normals are kept, so that an interrupted evaluation can continue.",
+            metavar="DIR",
+            group="Output",
         ),
     ] = None
     export_normals: Annotated[
