@@ -67,10 +67,10 @@ def train(
 ) -> None:
     """Train a network from clouds with known normals, from meshes, or from procedural solids.
 
-    A recipe is a TOML file, or the name of one that comes along: cloudfit; deepfit, adafit and graphfit, each as
+    A recipe is a TOML file, or the name of a packaged one: cloudfit; deepfit, adafit and graphfit, each as
     -paper (with the paper's two additions), -baseline (without them) and -small (narrow, for a CPU); and pcpnet-paper,
     nestinet-paper, iternet and others, which docs/training.md lists.
-    --recipe NAME --show prints one, to start your own from.
+    --recipe NAME --show prints one, from which you can start your own.
 
     RUN gets config.toml (the whole recipe), model.safetensors (for jetnormal estimate --model), metrics.csv and what
     --resume needs. It is saved every 45 seconds, after each epoch and on Ctrl-C. The same recipe on the same machine
