@@ -24,7 +24,7 @@ CELL_SPACINGS = 1.0  # side of the field's cells
 MAX_CELL_SPACINGS = 4.0  # a coarser field knows less than the neighbors
 MIN_CELLS, MAX_CELLS = 16, 256  # along the field's side
 CELLS_PER_POINT = 40.0
-ROUNDS = 2  # more spread errors: four cost a body of thin walls 1.6 % of its signs
+ROUNDS = 4
 MARGIN = 1.3  # side of the periodic box over the largest extent of the points
 SMOOTHING = 0.7  # standard deviation, in cells, of the Gaussian that hides the grid
 

@@ -5,7 +5,7 @@
 2. a file that knows its sensor (`sensors.file_sensors`);
 3. open surfaces that look as if a camera at the origin had taken them: towards the origin;
 4. a wide, flat, mostly level cloud is terrain (`terrain`): up;
-5. closed surfaces: outward;
+5. closed surfaces: outward, unless they are a furnished room (`room`): inward;
 6. open surfaces of which the origin, named by a PCD file, sees one side throughout: towards the origin;
 7. open surfaces whose borders show from where an object was seen (`single_view`): towards that side;
 8. else the best guess, with a warning.
@@ -57,12 +57,13 @@ class Decision:
 
     Attributes:
         asked: the option `orient`.
-        used: the method: "viewpoint", "terrain", "global", "origin", "view", "mst", "up" or "none".
+        used: the method: "viewpoint", "terrain", "global", "inside", "origin", "view", "mst", "up" or "none".
         reason: why that method.
         open_share: of the points that lie on surfaces without an outside.
         confidence: mean of the signs' confidence.
         guessed: whether the side of open surfaces is a guess.
         unseen: points without a finite viewpoint; their normals look up.
+        hidden: the share of the points that outside does not see, if that makes a room likely; else 0.
     """
 
     asked: str
@@ -72,6 +73,7 @@ class Decision:
     confidence: float = 0.0
     guessed: bool = field(default=False, repr=False)
     unseen: int = field(default=0, repr=False)
+    hidden: float = field(default=0.0, repr=False)
 
     def facts(self) -> dict[str, Any]:
         """What a summary in JSON says."""
@@ -85,6 +87,11 @@ class Decision:
             found.append(
                 f"{self.open_share:.0%} of the points lie on open surfaces, which have no outside, and nothing tells "
                 "which side was seen: their normals may all look the wrong way; `viewpoint` or `orient` settles it"
+            )
+        if self.hidden:
+            found.append(
+                f"{self.hidden:.0%} of the points are hidden from outside, but not from inside: if this is a room, its "
+                "normals all look the wrong way, and `viewpoint`, any place in the room, turns them"
             )
         if self.unseen:
             found.append(f"{self.unseen} points have no finite viewpoint; their normals look up")
@@ -192,7 +199,7 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
         orientation = choose_signs(points, normals, "terrain")
         return orientation, _decision(orientation, "auto", "terrain", "the cloud is wide, flat and mostly level")
     if not mostly_open:
-        return orientation, _decision(orientation, "auto", "global", "its surfaces are closed")
+        return _closed(points, orientation)
     if source.viewpoint is not None and _one_sided(points, orientation):
         orientation = _towards_origin(points, orientation)
         reason = "the file names the origin, which sees one side of its surfaces throughout"
@@ -203,6 +210,23 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
     used, reason = ("global", "up where open") if view is None else ("view", "whose borders lean a little away from it")
     decision = _decision(orientation, "auto", used, f"a guess: {share}, {reason}")
     return orientation, replace(decision, guessed=True)
+
+
+def _closed(points: Floats, orientation: Orientation) -> tuple[Orientation, Decision]:
+    """Decide for closed surfaces, which are turned outward, whether they are a room."""
+    from jetnormal.orientation.room import look_inside
+
+    room = look_inside(points, _unit(orientation.normals))
+    if room is None or not room.found:
+        decision = _decision(orientation, "auto", "global", "its surfaces are closed")
+        return orientation, replace(decision, hidden=room.hidden if room is not None and room.suspected else 0.0)
+    inward = np.where(orientation.open[:, None], orientation.normals, -orientation.normals)
+    orientation = replace(orientation, normals=inward.astype(orientation.normals.dtype))
+    reason = (
+        f"it is a room: places inside see {room.things_seen:.0%} of what no place outside sees, {room.hidden:.0%} of "
+        "the points, and its walls; `orient=global` turns it outward"
+    )
+    return orientation, _decision(orientation, "auto", "inside", reason)
 
 
 def _one_sided(points: Floats, orientation: Orientation) -> bool:

@@ -14,12 +14,12 @@ Floats = NDArray[np.float64]
 STRAYS = 0.01  # of the points may lie outside, on each side
 LEVEL = 0.7  # cosine to the vertical of what is level
 MIN_LEVEL_SHARE = 0.5  # of the points; walls and trees are the others
-POINTS_PER_CELL = 8.0  # of the ground plan
+POINTS_PER_CELL = 8.0  # level ones, of the ground plan
 # Share of the hull of the ground plan that is covered, and height over its longer side. A scan is cut off anywhere, and
 # covers all of its plan, while a view of an object ends in a silhouette.
 WHOLE, MAX_HEIGHT = 0.9, 0.35
 RAGGED, MAX_RAGGED_HEIGHT = 0.6, 0.2
-MAX_STACKED = 0.6  # of the cells that hold level points have some at two heights: under trees, half
+MAX_STACKED = 0.67  # of the cells that hold level points have some at two heights: under trees half, in a box 0.8
 MIN_POINTS = 200
 
 
@@ -44,7 +44,7 @@ def is_terrain(points: Floats, normals: Floats) -> bool:
         plan = ConvexHull(points[:, :2]).volume
     except QhullError:  # all on a line
         return False
-    cell = np.sqrt(plan * POINTS_PER_CELL / len(points))
+    cell = np.sqrt(plan * POINTS_PER_CELL / level.sum())
     column = np.floor(points[:, :2] / cell).astype(np.int64)
     key = column[:, 0] * (int(depth / cell) + 2) + column[:, 1]
     covered, steepness = len(np.unique(key)) * cell * cell / plan, height / max(width, depth)

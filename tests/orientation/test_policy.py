@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from shapes import sphere
+from solids import box
 
 from jetnormal import Cloud, estimate, formats
 from jetnormal.cloud import Source
@@ -127,6 +128,8 @@ def test_objects_rooms_and_plates_are_no_terrain():
         points = rng.uniform(0, 4, (8000, 3))
         points[:, 2] = height * rng.integers(2, size=8000)
         assert not is_terrain(points, np.tile([0.0, 0, 1], (8000, 1)))
+    for height in (0.8, 1.0, 1.3):  # a box: walls are not level
+        assert not is_terrain(*box(rng, 100, (0, 0, 0), (4, 4, height)))
 
 
 @pytest.mark.parametrize("turn", [[0, 1, 2], [2, 0, 1], [1, 2, 0]])
