@@ -202,7 +202,7 @@ class LeastSquares:
 
     def diagonal(self) -> Floats:
         """Of the quadratic form (M,)."""
-        return np.asarray(self.weight @ np.square(self.matrix))
+        return np.asarray(np.einsum("r,rm,rm->m", self.weight, self.matrix, self.matrix))
 
     def votes(self) -> Floats:
         """The linear form (M,)."""

@@ -56,7 +56,7 @@ def settle_by_winding(
             mean = float(sizes @ (windings @ np.sign(belief).astype(np.float32))) / len(rows)
             if mean < LEAST_MEAN:
                 break
-            demand = LeastSquares(windings * np.float32(ON_SURFACE / mean), weight, ON_SURFACE)
+            demand = LeastSquares(windings, weight * (ON_SURFACE / mean) ** 2, mean)
             belief = relax(coupling, told, demand, tolerance=TOLERANCE)
     return belief
 
