@@ -25,8 +25,8 @@ BATCH = 16  # queries
 class BallEstimator:
     """A network on the balls around each point.
 
-    There is nothing before the last step: the rough normals are the normals themselves. The confidence is the network's
-    own, see `PCPNet.estimate` and `NestiNet.estimate`.
+    There is only one step, so the rough normals are the normals themselves. The confidence is the network's own, see
+    `PCPNet.estimate` and `NestiNet.estimate`.
 
     Attributes:
         name: what it is called.
@@ -71,7 +71,7 @@ class BallEstimator:
         return matrix_products(lambda: self._predict(BallIndex(points), np.arange(1)))
 
     def z_axes(self, points: NDArray[np.float64], queries: NDArray[np.int64]) -> Axes | None:
-        """See `estimators.base.Estimator`: what turns the balls is not meant to meet the normal."""
+        """See `estimators.base.Estimator`; none, for the rotation of the balls is not meant to meet the normal."""
         return None
 
     @torch.inference_mode()

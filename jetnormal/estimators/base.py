@@ -1,4 +1,4 @@
-"""What every estimator takes and gives, whatever it does in between."""
+"""The interface of all estimators."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Axes = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Prediction:
-    """What an estimator says of Q queries.
+    """The output of an estimator for Q queries.
 
     Attributes:
         normals: (Q, 3) float32 unit vectors of arbitrary sign; NaN where the neighbors are collinear or coincide.
@@ -40,7 +40,7 @@ class Prediction:
 
 
 def joined(parts: list[Prediction]) -> Prediction:
-    """One prediction of the queries of several."""
+    """Join predictions into one."""
 
     def join(name: str) -> Any:
         arrays = [getattr(part, name) for part in parts]
@@ -50,7 +50,7 @@ def joined(parts: list[Prediction]) -> Prediction:
 
 
 class Estimator(Protocol):
-    """Points in, unoriented normals out. An estimator says itself what it can; nobody asks for its class or name."""
+    """Points in, unoriented normals out. Its properties tell what an estimator can do, not its class or name."""
 
     @property
     def name(self) -> str:
@@ -69,7 +69,7 @@ class Estimator(Protocol):
 
     @property
     def min_points(self) -> int:
-        """Points of the smallest cloud that the estimator is good for; it works from 3 points on."""
+        """Points of the smallest cloud that the estimator is suited to; it works from 3 points on."""
         ...
 
     @property

@@ -48,9 +48,9 @@ class _Kind:
     """A kind of estimator.
 
     Attributes:
-        settings: that it has.
+        settings: names of its settings.
         runs_on_gpu: whether it takes another device than the CPU.
-        build: makes one of its name, its model file or network (None for a classical fit), settings and resources.
+        build: makes an estimator from name, model file or network (None for a classical fit), settings and resources.
     """
 
     settings: tuple[str, ...]
@@ -167,7 +167,7 @@ def _is_file(name: str) -> bool:
 
 
 def _only(chosen: dict[str, int], model: str, allowed: tuple[str, ...]) -> dict[str, int]:
-    """The chosen settings, all of which the model must have; one iteration is what every model does."""
+    """The chosen settings, all of which the model must have; one iteration is allowed for every model."""
     for key in chosen:
         if key not in allowed and not (key == "iterations" and chosen[key] == 1):
             raise UsageError(f"the model {model} has no option {key}; it takes {' and '.join(allowed) or 'none'}")

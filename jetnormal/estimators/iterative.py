@@ -1,4 +1,4 @@
-"""The estimator that fits a plane to each point of a cloud again and again: `IterNet` on whole clouds or blocks."""
+"""The estimator of `IterNet`, which fits planes iteratively, on whole clouds or blocks."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class IterEstimator:
     def _block(
         self, points: NDArray[np.float64], spacing: float, queries: Tensor, advance: Advance | None
     ) -> Prediction:
-        """All iterations for some points of a block, and before for all that these see."""
+        """All iterations for some points of a block; earlier iterations also for the points that these depend on."""
         graph = build_graph(points, self.neighbors, spacing, self.threads)
         seen = [queries]
         for _ in range(self._iterations):
@@ -114,7 +114,7 @@ class IterEstimator:
         before: Tensor | None,
         advance: Advance | None = None,
     ) -> None:
-        """Renew the normals and weights of (n,) points, in chunks, a thread each; without normals before, begin."""
+        """Compute the next normals and weights of (n,) points, in chunks on threads; without normals, the first."""
 
         @torch.inference_mode()  # a thread has its own mode
         def work(chunk: Tensor) -> int:

@@ -51,13 +51,13 @@ class PatchEstimator:
     Attributes:
         name: what it is called.
         neighbors: points in a patch.
-        fit: what it does to a batch of patches.
+        fit: the function that is applied to a batch of patches.
         batch_size: patches fitted at a time.
         device: where they are fitted.
         threads: CPU threads; None for all cores.
         transform: a network's learned rotations, (B, 3, 3), of patches (B, k, 3); None for a classical fit.
         has_curvature: whether the fit has curvatures.
-        min_points: of the smallest cloud that the fit is good for.
+        min_points: of the smallest cloud that the fit is suited to.
     """
 
     name: str
@@ -203,7 +203,7 @@ def network_estimator(
 
 
 def agreement(before: Tensor, after: Tensor) -> Tensor:
-    """(B,) share of a right angle that two directions, (B, 3) unit vectors, are not apart: 1 - angle / 90 degrees."""
+    """(B,) agreement of directions, (B, 3) unit vectors: 1 - angle / 90 degrees."""
     sine = torch.linalg.cross(before, after).square().sum(1).sqrt()
     cosine = (before * after).sum(1).abs()
     return 1 - torch.atan2(sine, cosine) / (math.pi / 2)

@@ -1,4 +1,4 @@
-"""What to say of networks whose weights are numbers, but lead nowhere."""
+"""Errors for networks whose weights are finite but give no normals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jetnormal.errors import ModelError
 
 @contextmanager
 def usable_weights(name: str) -> Iterator[None]:
-    """Blame the model of a name for decompositions that fail inside the block, as those of NaN do.
+    """Raise an error that names the model if a decomposition fails inside the block, as that of NaN does.
 
     Raises:
         ModelError: one has failed.
@@ -25,10 +25,10 @@ def usable_weights(name: str) -> Iterator[None]:
 
 
 def check_finite(normals: Tensor, name: str) -> None:
-    """Find out whether any of the (B, 3) normals that a model predicts is finite.
+    """Check that any of the (B, 3) normals that a model predicts is finite.
 
     Raises:
-        ModelError: there are some, and none is.
+        ModelError: there are normals, and none is finite.
     """
     if len(normals) and not bool(torch.isfinite(normals).all(dim=1).any()):
         raise _unusable(name)

@@ -1,4 +1,4 @@
-"""The estimator that looks at a whole cloud at a time, or at blocks of a large one, in bounded memory."""
+"""The estimator of `CloudFit`, which sees a whole cloud at once, or blocks of a large one, in bounded memory."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class CloudEstimator:
     Attributes:
         name: what it is called.
         config: of the network.
-        find: the network: a pyramid, iterations and threads in, the normals of all points out.
+        find: the network, a function of pyramid, iterations and threads that returns the normals of all points.
         iterations: of the last vote: from the second on, it starts from the normals of the one before.
         threads: CPU threads; None for all cores.
         neighbors: of a point in each level of the pyramid, the point itself included.
@@ -74,9 +74,10 @@ class CloudEstimator:
     def reach(self) -> float:
         """See `estimators.base.Estimator`: the hops of the two finest levels, from a point to its farthest neighbor.
 
-        At each level, that is a hop for each layer, and those to the coarser level, from it and of the vote. What
-        coarser levels see beyond hardly counts: with 25 for this network, normals of a noisy solid and of a terrestrial
-        scan, a million points each, differ from those without blocks by 0.0003 degrees (rms); with 10, by 0.03.
+        At each level, these are a hop for each layer, those to and from the coarser level, and that of the vote. What
+        coarser levels see beyond hardly matters: with 25 for this network, normals of a noisy solid and of a
+            terrestrial scan, a million points each, differ from those without blocks by 0.0003 degrees (rms); with 10,
+            by 0.03.
         """
         hops = [up + down + 3 for up, down in zip(self.config.up_layers, self.config.down_layers, strict=True)]
         return float(sum(np.sqrt(2) * 2**level * count for level, count in enumerate(hops[:REACH_LEVELS])))
@@ -98,7 +99,7 @@ class CloudEstimator:
         return None
 
     def _block(self, points: NDArray[np.float64]) -> Prediction:
-        """The prediction for all points of a block, which is looked at as a whole."""
+        """The prediction for all points of a block."""
         points = points - np.median(points, axis=0)  # a few that are far away take no digit from the others
         pyramid = build_pyramid(points, len(self.config.channels), self.threads)
         found = self.find(pyramid, self.iterations, self.threads)

@@ -39,7 +39,8 @@ def typical_spacing(points: Floats) -> float:
 def noise(points: Floats, quantile: float) -> float:
     """Measure how far points (N, 3), N > 7, are off a smooth surface: off a quadric through their neighbors.
 
-    The neighbors are many, for those of a depth camera next to each other are in one layer of its quantized depths.
+    Many neighbors are taken, because close neighbors in the image of a depth camera lie in one layer of its quantized
+    depths.
     """
     k = min(NOISE_NEIGHBORS, len(points))
     sample = np.random.default_rng(0).permutation(len(points))[:NOISE_SAMPLE]

@@ -1,7 +1,7 @@
-"""What regions of a closed surface say of each other's signs by their winding numbers, where noise hides neighbors.
+"""Signs of the regions of a closed surface by winding numbers, where noise is too large for the agreement of neighbors.
 
 Where noise is as large as the spacing, neighbors on both sides of a wall look like one sheet, and the agreement of
-neighbors gives both sides the same sign. Gauss's formula knows better: on a surface whose normals are outward, the
+neighbors gives both sides the same sign. Gauss's formula tells them apart: on a surface whose normals are outward, the
 winding number of the normals is 1/2, between 1 inside and 0 outside. A thin wall's far side alone gives nearly 1/2 if
 it is right, and -1/2 if it is wrong, while flat surface around a place gives it nothing.
 
