@@ -10,7 +10,8 @@
 4. A component inside the solid part of another is the wall of a cavity, and is turned inward.
 5. An open surface is turned up.
 6. Where noise is not small against the spacing, the field of all normals (`dipole_field`) corrects single points.
-7. Specks, which have fewer points than a surface needs, take the sign of the surface beside them.
+7. Specks, which have fewer points than a surface needs, and single points off a surface take the sign of the surface
+   beside them.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ SURE_WEIGHT, DOUBTFUL_WEIGHT = 0.001, 1.0
 CONTRADICTION = 1e-3  # share of the couplings that the others contradict
 DROWNED = 0.25  # roughness over spacing
 LEVEL = 0.3  # cosine to the vertical; what is steeper is a wall
+STRAY_RADII = 1.5  # neighborhood radius, over the mean of the neighbors'
 PLACES, SOURCES = 16, 4096  # points of a component that tell whether it is inside, and that tell it of others
 # The votes for up of a patch count up to as many sure edges as lie along its side. In a smooth sheet, several times
 # that many join two patches; in the noisy crease between a wall and the ground, fewer.
@@ -86,7 +88,7 @@ def _finished(surface: Surface, parts: Parts, belief: Floats, is_open: Bools, vi
     surface.turn(flips)
     sure *= strength
     open_points = is_open[parts.component]
-    _follow(surface, parts.speck[parts.component], sure, open_points)
+    _follow(surface, parts.speck[parts.component] | _beside(surface), sure, open_points)
     return Outcome(sure, open_points, view)
 
 
@@ -192,15 +194,25 @@ def _upright(votes: Votes, parts: Parts) -> Floats:
     return signs * np.clip(support / np.where(total > 0, total, 1), 1e-3, 1)
 
 
-def _follow(surface: Surface, speck: Bools, sure: Floats, is_open: Bools) -> None:
-    """Give points of specks (N,) the sign, and what else is known, of the surface beside them."""
-    rows, known = np.flatnonzero(speck), np.flatnonzero(~speck)
+def _beside(surface: Surface) -> Bools:
+    """Which points (N,) lie off a surface: they are farther from their neighbors than these are from theirs.
+
+    The mirror test takes such a point and the surface for the two sides of a plate.
+    """
+    if not surface.neighbors.shape[1]:
+        return np.zeros(len(surface.points), dtype=np.bool_)
+    return np.asarray(surface.radius > STRAY_RADII * surface.radius[surface.neighbors].mean(axis=1))
+
+
+def _follow(surface: Surface, followers: Bools, sure: Floats, is_open: Bools) -> None:
+    """Give some points (N,) the sign, and what else is known, of the surface beside them."""
+    rows, known = np.flatnonzero(followers), np.flatnonzero(~followers)
     if not len(rows) or not len(known):
         return
     near = known[NeighborIndex(surface.points[known]).query(surface.points[rows], min(4, len(known)))[0]]
     cosine = np.einsum("nd,nkd->nk", surface.normals[rows], surface.normals[near])
     agreement = (cosine * sure[near]).mean(axis=1)
-    flips = np.zeros(len(speck), dtype=np.bool_)
+    flips = np.zeros(len(followers), dtype=np.bool_)
     flips[rows] = agreement < 0
     surface.turn(flips)
     sure[rows], is_open[rows] = np.abs(agreement), is_open[near[:, 0]]

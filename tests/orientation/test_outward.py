@@ -172,6 +172,16 @@ def test_stray_points_change_nothing_wherever_they_are(method, distance):
         assert not result.open[:2000].any() and result.confidence[:2000].mean() > 0.85
 
 
+def test_points_off_a_surface_take_its_sign():
+    """Above and below a sphere, as outliers of photogrammetry are: no second side of a plate."""
+    rng = np.random.default_rng(13)
+    points, normals = sphere(rng, 5000)
+    directions = sphere(rng, 100)[1]
+    off = directions * (1 + rng.choice([-1, 1], (100, 1)) * rng.uniform(0.15, 0.3, (100, 1)))
+    oriented = orient(np.append(points, off, axis=0), scrambled(np.append(normals, directions, axis=0)))
+    assert oriented_accuracy(oriented, np.append(normals, directions, axis=0))[0] == 1
+
+
 @pytest.mark.parametrize("distance", [2.5, 100.0, 1e6])
 def test_objects_have_the_signs_that_each_has_alone(distance):
     rng = np.random.default_rng(10)
