@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.orientation.agreement import Surface
+from jetnormal.orientation.agreement import Surface, chunks
 from jetnormal.orientation.kernels import add_dipoles, read_grid
 from jetnormal.support.device import available_cores
 
@@ -62,10 +62,11 @@ def _field_strength(points: Floats, normals: Floats, spacing: Floats, noisy: NDA
     strength = np.ones(len(points))
     field = DipoleField(points, _cells(points, spacing))
     rows = np.flatnonzero(noisy & (spacing * MAX_CELL_SPACINGS > field.cell))
-    for _ in range(ROUNDS):
-        field.solve(normals * (strength * spacing**2)[:, None])
-        drop = field.drop(points[rows], normals[rows])
-        scale = np.median(np.abs(drop)) if len(rows) else 0.0
+    for _ in range(ROUNDS if len(rows) else 0):  # of a cloud of many millions, the field knows less than the neighbors
+        field.solve(normals, strength * spacing**2)
+        parts = [rows[part] for part in chunks(len(rows))]
+        drop = np.concatenate([field.drop(points[part], normals[part]) for part in parts])
+        scale = np.median(np.abs(drop))
         strength[rows] = np.clip(drop / scale, -1, 1) if scale > 0 else 1
     return strength
 
@@ -96,12 +97,14 @@ class DipoleField:
         self._response = _response(cells) * np.float32(cells**2 / self.cell**2)
         self._values = np.zeros((cells,) * 3, dtype=np.float32)
 
-    def solve(self, moments: Floats) -> None:
-        """Find the field of moments (N, 3): outward unit normals times the areas that the points stand for."""
+    def solve(self, normals: Floats, areas: Floats) -> None:
+        """Find the field of outward unit normals (N, 3) and the areas (N,) that the points stand for."""
         from scipy.fft import irfftn, rfftn
 
         self._values[:] = 0  # the charges, and then the field: grids are large
-        add_dipoles(self._points, moments, self._corner, self.cell, self._values)
+        for rows in chunks(len(areas)):
+            moments = normals[rows] * areas[rows, None]
+            add_dipoles(self._points[rows], moments, self._corner, self.cell, self._values)
         workers = available_cores()  # the values do not depend on them
         spectrum = rfftn(self._values, workers=workers)
         spectrum *= self._response

@@ -133,8 +133,9 @@ def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Out
     first, copy_of = distinct(points)
     order = spatial_order(points[first])  # neighbors are near in memory, too
     first, copy_of = first[order], np.argsort(order)[copy_of]
-    surface = Surface(points[first], normals[first])
-    del points, first, order
+    placed, directed = points[first], normals[first]
+    del points, first, order  # the graph takes most memory
+    surface = Surface(placed, directed)
     if method == "mst":
         found = grow_tree(surface)
     elif method == "terrain":
