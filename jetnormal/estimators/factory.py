@@ -200,13 +200,13 @@ def _patch_network(model: str, network: Source, settings: dict[str, int], resour
     )
 
 
-def _whole_cloud(model: str, path: Path | None, settings: dict[str, int], resources: Resources) -> Estimator:
+def _whole_cloud(model: str, path: Path | None, _settings: dict[str, int], resources: Resources) -> Estimator:
     from jetnormal.estimators.whole_cloud import cloud_estimator
     from jetnormal.support.device import resolve_device
 
     assert path is not None
     device = "cpu" if resources.device == "auto" else resolve_device(resources.device)
-    return cloud_estimator(model, path, **settings, device=device, threads=resources.threads)
+    return cloud_estimator(model, path, device=device, threads=resources.threads)
 
 
 def _iterative(model: str, network: Source, settings: dict[str, int], resources: Resources) -> Estimator:
@@ -237,7 +237,7 @@ _KINDS = {
     "pca": _Kind(("k",), False, _pca),
     "jet": _Kind(("k", "order"), False, _jet),
     "patchfit": _Kind(("k", "iterations"), True, _patch_network),
-    "cloudfit": _Kind(("iterations",), True, _whole_cloud),
+    "cloudfit": _Kind((), True, _whole_cloud),
     "iternet": _Kind(("k", "iterations"), False, _iterative),
     "pcpnet": _Kind((), True, _balls),
     "nestinet": _Kind((), True, _balls),

@@ -59,7 +59,7 @@ class NormalOptions(OptionSet):
     iterations: Annotated[
         int | None,
         Option(
-            "Rounds of the fit, or of the last vote, per point (networks); each starts from the normal of the last.",
+            "Fits per point (patch networks, iternet); each starts from the normal of the one before.",
             low=1,
             metavar="N",
             default="the model's",

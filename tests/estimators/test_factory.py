@@ -33,7 +33,17 @@ def model(tmp_path):
 
 @pytest.mark.parametrize(
     "model",
-    ["pca:k=2", "jet:order=5", "pca:order=2", "jet:iterations=2", "pca:k=many", "pca:q=3", "jet:k=-4", "cloudfit:k=9"],
+    [
+        "pca:k=2",
+        "jet:order=5",
+        "pca:order=2",
+        "jet:iterations=2",
+        "pca:k=many",
+        "pca:q=3",
+        "jet:k=-4",
+        "cloudfit:k=9",
+        "cloudfit:iterations=2",
+    ],
 )
 def test_bad_settings_are_usage_errors(model):
     with pytest.raises(UsageError):

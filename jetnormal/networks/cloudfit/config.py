@@ -10,7 +10,7 @@ from jetnormal.errors import UsageError
 from jetnormal.support.options import Option, build
 
 NODE_FEATURES = 5  # of a neighborhood: three variances, the tilt and the length of the offset to its centroid
-COARSE_NEIGHBORS = 9  # of the next level that vote for a point
+COARSE_NEIGHBORS = 17  # of the next level that vote for a point: its parent and the parent's neighbors
 FEATURES = 12  # invariants of an edge
 MAX_CHANNELS = 4096
 MAX_LAYERS = 32
@@ -33,7 +33,8 @@ class CloudFitConfig:
         tuple[int, ...], Option("Edge convolutions of each level on the way up, from fine to coarse.")
     ] = (1, 1, 2, 2, 2, 2)
     down_layers: Annotated[
-        tuple[int, ...], Option("Edge convolutions of each level on the way down, from coarse to fine.")
+        tuple[int, ...],
+        Option("Edge convolutions of each level on the way down, from coarse to fine; a vote follows each of them."),
     ] = (2, 2, 2, 2, 2, 0)
 
     def __post_init__(self) -> None:
@@ -46,6 +47,10 @@ class CloudFitConfig:
         counts = (len(self.channels), *self.up_layers, *self.down_layers)
         if not all(0 <= count <= MAX_LAYERS for count in counts):
             raise ValueError(f"there are at most {MAX_LAYERS} levels, and layers in each")
+
+    def votes(self, level: int) -> int:
+        """How often the points of a level vote."""
+        return max(self.down_layers[level], 1)
 
     @classmethod
     def from_description(cls, fields: dict[str, Any]) -> CloudFitConfig:
@@ -85,7 +90,8 @@ def parameter_shapes(config: CloudFitConfig) -> dict[str, tuple[int, ...]]:
         for direction, counts in (("up", config.up_layers), ("down", config.down_layers)):
             for layer in range(counts[number]):
                 shapes |= _edge_conv(f"{direction}.{number}.{layer}", width, width)
-        shapes |= _z_direction(f"direction.{number}", width, c[number : number + 2], hidden)
+        for vote in range(config.votes(number)):
+            shapes |= _z_direction(f"direction.{number}.{vote}", width, c[number : number + 2], hidden)
     for number, (fine, coarse) in enumerate(pairwise(c)):
         shapes |= _edge_conv(f"pool.{number}", coarse, fine) | _edge_conv(f"unpool.{number}", fine, coarse)
         shapes |= _z_direction(f"interpolate.{number}", fine, (coarse,), hidden)

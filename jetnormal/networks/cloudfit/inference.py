@@ -118,16 +118,15 @@ class Inference:
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"{path}: its configuration and its weights do not fit ({error})") from error
 
-    def __call__(self, pyramid: Pyramid, iterations: int = 1, threads: int | None = None) -> Found:
+    def __call__(self, pyramid: Pyramid, threads: int | None = None) -> Found:
         """Find the normals of a cloud.
 
         Args:
             pyramid: of the cloud, with as many levels as the network.
-            iterations: of the last vote: from the second on, it starts from the normals of the one before.
             threads: CPU threads; None for all cores. The result does not depend on them.
         """
         with threadpool_limits(1, "blas"), ThreadPoolExecutor(threads or available_cores()) as pool:
-            return _Pass(self.config, self._weights, pool).run(pyramid, iterations)
+            return _Pass(self.config, self._weights, pool).run(pyramid)
 
 
 class _Pass:
@@ -139,7 +138,7 @@ class _Pass:
         self._pool = pool
         self._scratch: dict[int, F32] = {}
 
-    def run(self, pyramid: Pyramid, iterations: int) -> Found:
+    def run(self, pyramid: Pyramid) -> Found:
         levels = pyramid.levels
         surfaces = [Surface.of(level) for level in levels]
         h = self._ascend(levels, surfaces)
@@ -150,18 +149,18 @@ class _Pass:
                 above, parents = surfaces[number + 1], levels[number].parents
                 edges = Edges(here, above, parents, levels[number + 1].scale[parents[:, 0]])
                 self._edge_conv(f"unpool.{number}", h[number], h[number + 1], edges)
-                rough = self._vote(f"interpolate.{number}", h[number], here, [(h[number + 1], above, edges)])
-                here = here.turned(rough)
-            edges = Edges(here, here, levels[number].neighbors, levels[number].scale)
-            for layer in range(self._config.down_layers[number]):
-                self._edge_conv(f"down.{number}.{layer}", h[number], h[number], edges)
-            normals = self._last_vote(number, levels, h, here, surfaces, edges)
-            surfaces[number] = here.turned(normals)
+                here = here.turned(
+                    self._vote(f"interpolate.{number}", h[number], here, [(h[number + 1], above, edges)])
+                )
+            surfaces[number] = here
+            for vote in range(self._config.votes(number)):
+                rough = surfaces[number].normals
+                if self._config.down_layers[number]:
+                    edges = _within(surfaces[number], levels[number])
+                    self._edge_conv(f"down.{number}.{vote}", h[number], h[number], edges)
+                normals = self._vote_at(number, vote, levels, h, surfaces)
+                surfaces[number] = surfaces[number].turned(normals)
             del h[number + 2 :]  # nobody asks for them any more
-        for _ in range(1, iterations):
-            edges = Edges(surfaces[0], surfaces[0], levels[0].neighbors, levels[0].scale)
-            rough, normals = normals, self._last_vote(0, levels, h, surfaces[0], surfaces, edges)
-            surfaces[0] = surfaces[0].turned(normals)
         confidence = self._confidence(h[0], normals, rough)
         if len(pyramid.left_out):
             carried = self._carry(pyramid.carried, surfaces[0], h[0])
@@ -180,7 +179,7 @@ class _Pass:
                 edges = Edges(here, below, own, levels[number - 1].scale[chosen])
                 self._edge_conv(f"pool.{number - 1}", h, features[number - 1], edges)
             if self._config.up_layers[number]:
-                edges = Edges(here, here, levels[number].neighbors, levels[number].scale)
+                edges = _within(here, levels[number])
                 for layer in range(self._config.up_layers[number]):
                     self._edge_conv(f"up.{number}.{layer}", h, h, edges)
             features.append(h)
@@ -197,16 +196,15 @@ class _Pass:
 
         return self._by_rows(embed, len(here.normals), (self._config.channels[number],))
 
-    def _last_vote(
-        self, number: int, levels: list[Level], h: list[F32], here: Surface, surfaces: list[Surface], edges: Edges
-    ) -> F32:
-        senders = [(h[number], here, edges)]
+    def _vote_at(self, number: int, vote: int, levels: list[Level], h: list[F32], surfaces: list[Surface]) -> F32:
+        here = surfaces[number]
+        senders = [(h[number], here, _within(here, levels[number]))]
         if number + 1 < len(levels):
             above, parent = levels[number + 1], levels[number].parents[:, 0]
             neighbors = np.ascontiguousarray(_with_itself(parent, above)[:, :COARSE_NEIGHBORS])
             wide = Edges(here, surfaces[number + 1], neighbors, above.scale[parent])
             senders.append((h[number + 1], surfaces[number + 1], wide))
-        return self._vote(f"direction.{number}", h[number], here, senders)
+        return self._vote(f"direction.{number}.{vote}", h[number], here, senders)
 
     def _carry(self, carried: Neighborhood, level: Surface, h: F32) -> tuple[F32, F32, F32]:
         nearest = carried.neighbors[:, 0]
@@ -314,6 +312,11 @@ class _Pass:
 
         self._for_rows(work, count)
         return out
+
+
+def _within(surface: Surface, level: Level) -> Edges:
+    """The edges between the points of a level."""
+    return Edges(surface, surface, level.neighbors, level.scale)
 
 
 def _with_itself(points: NDArray[np.integer], level: Level) -> I32:

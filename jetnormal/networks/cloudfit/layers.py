@@ -41,7 +41,10 @@ class Nodes:
 
     def turned(self, normals: Tensor) -> Nodes:
         """The same points with other normals."""
-        sign = torch.tanh(3 * (normals * self.centroid).sum(1))
+        height = 3 * (normals * self.centroid).sum(1)
+        # NumPy's hyperbolic tangent: PyTorch's depends in the last digit on how its threads divide the numbers
+        on_cpu = height.device.type == "cpu"
+        sign = torch.from_numpy(np.tanh(height.detach().numpy())) if on_cpu else torch.tanh(height)
         return Nodes(self.positions, self.neighbors, self.scale, normals, self.centroid, sign)
 
 

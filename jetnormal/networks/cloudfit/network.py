@@ -1,10 +1,11 @@
 """CloudFit: the normals of all points of a cloud at once, from one graph network over the whole cloud.
 
 A U-shaped graph network on a pyramid of the cloud gives each point features. From coarse to fine, the points of each
-level then vote on their normals. A normal is the smallest eigenvector of a matrix to which each neighbor gives, with
-learned weights, its offset (a weighted plane), its normal, and its normal mirrored on the plane that bisects the edge
-(on a sphere, the point's own normal: a weighted jet of second order). The normals of a level are where those of the
-next finer level start from, as the z-direction is where the paper's fit starts from.
+level then vote on their normals, after each edge convolution: the next one sees the normals that were voted for. A
+normal is the smallest eigenvector of a matrix to which each neighbor gives, with learned weights, its offset (a
+weighted plane), its normal, and its normal mirrored on the plane that bisects the edge (on a sphere, the point's own
+normal: a weighted jet of second order). The normals of a level are where those of the next finer level start from, as
+the z-direction is where the paper's fit starts from.
 
 All inputs are invariant to rotation, translation and scaling of the cloud, to the order of its points and to the signs
 of the normals (`layers.connect`), so the result rotates with the cloud exactly.
@@ -33,7 +34,7 @@ class CloudPrediction:
 
     Attributes:
         normals: (N, 3) voted for by the neighbors.
-        rough: (N, 3) the normals before the last vote, interpolated from the next coarser level.
+        rough: (N, 3) the normals before the last vote.
         confidence: (N,) logit of the probability that a normal is off by less than 10 degrees.
         directions: (n, 3) normals found on the way, the coarsest first, each with the (n,) int64 points of the cloud
             that its points come from.
@@ -63,8 +64,10 @@ class CloudFit(nn.Module):
         self.unpool = nn.ModuleList(EdgeConv(fine, coarse) for fine, coarse in steps)
         self.interpolate = nn.ModuleList(ZDirection(fine, (coarse,), hidden) for fine, coarse in steps)
         self.down = _layers(c, config.down_layers)
-        self.direction = nn.ModuleList(ZDirection(fine, (fine, coarse), hidden) for fine, coarse in steps)
-        self.direction.append(ZDirection(c[-1], (c[-1],), hidden))
+        self.direction = nn.ModuleList(
+            nn.ModuleList(ZDirection(width, c[level : level + 2], hidden) for _ in range(config.votes(level)))
+            for level, width in enumerate(c)
+        )
         self.carry = EdgeConv(c[0], c[0])
         self.carried_direction = ZDirection(c[0], (c[0],), hidden)
         self.confidence = nn.Sequential(nn.Linear(c[0] + 1, hidden), nn.ReLU(), nn.Linear(hidden, 1))
@@ -81,37 +84,34 @@ class CloudFit(nn.Module):
     def _tensor(self, array: NDArray[Any]) -> Tensor:
         return torch.from_numpy(array).to(self.device)
 
-    def forward(self, pyramid: Pyramid, iterations: int = 1) -> CloudPrediction:
+    def forward(self, pyramid: Pyramid) -> CloudPrediction:
         """The normals of a cloud.
 
         Args:
             pyramid: of the cloud, with as many levels as the network.
-            iterations: of the last vote: from the second on, it starts from the normals of the one before.
         """
         nodes = [Nodes.of(level, self.device) for level in pyramid.levels]
         h = self._ascend(pyramid, nodes)
         origins = [self._tensor(rows) for rows in _origins(pyramid)]
         directions = []
-        rough = nodes[-1].normals
+        rough = normals = nodes[-1].normals
         for number in range(len(nodes) - 1, -1, -1):
             here = nodes[number]
             if number + 1 < len(nodes):
                 above, parents = nodes[number + 1], self._tensor(pyramid.levels[number].parents)
                 edges = connect(here, above, parents, above.scale[parents[:, 0].long()])
                 h[number] = self.unpool[number](h[number], h[number + 1], edges)
-                rough = self.interpolate[number](h[number], here, [(h[number + 1], above, edges)])
-                directions.append((rough, origins[number]))
-                here = here.turned(rough.detach())
-            edges = connect(here, here, here.neighbors, here.scale)
-            for layer in cast(nn.ModuleList, self.down[number]):
-                h[number] = layer(h[number], h[number], edges)
-            normals = self._vote(number, pyramid, h, here, nodes, edges)
-            directions.append((normals, origins[number]))
-            nodes[number] = here.turned(normals.detach())
-        for _ in range(1, iterations):
-            edges = connect(nodes[0], nodes[0], nodes[0].neighbors, nodes[0].scale)
-            rough, normals = normals, self._vote(0, pyramid, h, nodes[0], nodes, edges)
-            nodes[0] = nodes[0].turned(normals.detach())
+                first = self.interpolate[number](h[number], here, [(h[number + 1], above, edges)])
+                directions.append((first, origins[number]))
+                here = here.turned(first.detach())
+            nodes[number] = here
+            for vote, direction in enumerate(cast(nn.ModuleList, self.direction[number])):
+                rough, edges = nodes[number].normals, _within(nodes[number])
+                if len(layers := cast(nn.ModuleList, self.down[number])):
+                    h[number] = layers[vote](h[number], h[number], edges)
+                normals = self._vote(direction, number, pyramid, h, nodes, edges)
+                directions.append((normals, origins[number]))
+                nodes[number] = nodes[number].turned(normals.detach())
         confidence = self._sure(h[0], normals, rough)
         if len(pyramid.left_out):
             late, late_rough, late_confidence = self._carry(pyramid.carried, nodes[0], h[0])
@@ -140,7 +140,7 @@ class CloudFit(nn.Module):
                 edges = connect(here, below, _with_itself(chosen, below), below.scale[chosen])
                 h = self.pool[number - 1](h, features[number - 1], edges)
             if len(layers := cast(nn.ModuleList, self.up[number])):
-                edges = connect(here, here, here.neighbors, here.scale)
+                edges = _within(here)
                 for layer in layers:
                     h = layer(h, h, edges)
             features.append(h)
@@ -158,15 +158,17 @@ class CloudFit(nn.Module):
         return by_rows(embed, len(variance))
 
     def _vote(
-        self, number: int, pyramid: Pyramid, h: list[Tensor], here: Nodes, nodes: list[Nodes], edges: Edges
+        self, direction: nn.Module, number: int, pyramid: Pyramid, h: list[Tensor], nodes: list[Nodes], edges: Edges
     ) -> Tensor:
         """Normals of a level, voted for by its points and by those of the next."""
+        here = nodes[number]
         senders = [(h[number], here, edges)]
         if number + 1 < len(nodes):
             above, parent = nodes[number + 1], self._tensor(pyramid.levels[number].parents[:, 0]).long()
             neighbors = _with_itself(parent, above)[:, :COARSE_NEIGHBORS].contiguous()
             senders.append((h[number + 1], above, connect(here, above, neighbors, above.scale[parent])))
-        return self.direction[number](h[number], here, senders)
+        normals: Tensor = direction(h[number], here, senders)
+        return normals
 
     def _carry(self, carried: Neighborhood, level: Nodes, h: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Normals, first normals and confidence of the points that the finest level leaves out.
@@ -191,6 +193,11 @@ def _layers(channels: tuple[int, ...], counts: tuple[int, ...]) -> nn.ModuleList
         nn.ModuleList(EdgeConv(width, width) for _ in range(count))
         for width, count in zip(channels, counts, strict=True)
     )
+
+
+def _within(nodes: Nodes) -> Edges:
+    """The edges between the points of a level."""
+    return connect(nodes, nodes, nodes.neighbors, nodes.scale)
 
 
 def _with_itself(points: Tensor, nodes: Nodes) -> Tensor:
