@@ -43,13 +43,28 @@ def for_rows(work: Callable[[slice], object], count: int, chunk: int = CHUNK) ->
         list(_pool().map(several, (chunks[part::threads] for part in range(threads))))
 
 
+def _by_one_thread(function: Callable[[slice], Tensor], rows: slice) -> Tensor:
+    """function(rows) with one thread of PyTorch: its results depend on how several divide the numbers."""
+    if torch.get_num_threads() == 1:
+        return function(rows)
+    inference = torch.is_inference_mode_enabled()
+
+    def work() -> Tensor:
+        with torch.inference_mode(inference), torch.set_grad_enabled(False):
+            return function(rows)
+
+    return _pool().submit(work).result()
+
+
 def by_rows(function: Callable[[slice], Tensor], count: int, chunk: int = CHUNK) -> Tensor:
     """Compute function(rows) for the rows 0 to count, and concatenate the results.
 
     While gradients are recorded this is a single call, otherwise `for_rows` makes the calls.
     """
-    if torch.is_grad_enabled() or count <= chunk:
+    if torch.is_grad_enabled():
         return function(slice(0, count))
+    if count <= chunk:
+        return _by_one_thread(function, slice(0, count))
     like = function(slice(0, 1))
     if like.is_cuda:  # fewer and larger kernels, in order
         return torch.cat([function(slice(start, start + CUDA_CHUNK)) for start in range(0, count, CUDA_CHUNK)])
