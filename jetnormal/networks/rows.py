@@ -26,34 +26,22 @@ if hasattr(os, "register_at_fork"):
 def for_rows(work: Callable[[slice], object], count: int, chunk: int = CHUNK) -> None:
     """Call work(rows) for the rows 0 to count, in chunks whose size does not depend on the number of threads.
 
-    There are `torch.get_num_threads` threads; within each, PyTorch uses one thread.
+    There are at most `torch.get_num_threads` threads; within each, PyTorch uses one thread, for which numbers a vector
+    instruction takes, and with it their last digits, depend on the number of threads.
     """
     chunks = [slice(start, min(start + chunk, count)) for start in range(0, count, chunk)]
-    threads = min(torch.get_num_threads(), len(chunks))
-    inference = torch.is_inference_mode_enabled()
+    threads = torch.get_num_threads()
+    inference, gradients = torch.is_inference_mode_enabled(), torch.is_grad_enabled()
 
     def several(mine: list[slice]) -> None:
-        with torch.inference_mode(inference):  # a thread has its own mode
+        with torch.inference_mode(inference), torch.set_grad_enabled(gradients):  # a thread has its own modes
             for rows in mine:
                 work(rows)
 
-    if threads <= 1:
+    if threads == 1:
         several(chunks)
     else:
-        list(_pool().map(several, (chunks[part::threads] for part in range(threads))))
-
-
-def _by_one_thread(function: Callable[[slice], Tensor], rows: slice) -> Tensor:
-    """function(rows) with one thread of PyTorch: its results depend on how several divide the numbers."""
-    if torch.get_num_threads() == 1:
-        return function(rows)
-    inference = torch.is_inference_mode_enabled()
-
-    def work() -> Tensor:
-        with torch.inference_mode(inference), torch.set_grad_enabled(False):
-            return function(rows)
-
-    return _pool().submit(work).result()
+        list(_pool().map(several, (chunks[part::threads] for part in range(min(threads, len(chunks))))))
 
 
 def by_rows(function: Callable[[slice], Tensor], count: int, chunk: int = CHUNK) -> Tensor:
@@ -61,13 +49,12 @@ def by_rows(function: Callable[[slice], Tensor], count: int, chunk: int = CHUNK)
 
     While gradients are recorded this is a single call, otherwise `for_rows` makes the calls.
     """
-    if torch.is_grad_enabled():
+    if torch.is_grad_enabled() or not count:
         return function(slice(0, count))
-    if count <= chunk:
-        return _by_one_thread(function, slice(0, count))
     like = function(slice(0, 1))
     if like.is_cuda:  # fewer and larger kernels, in order
-        return torch.cat([function(slice(start, start + CUDA_CHUNK)) for start in range(0, count, CUDA_CHUNK)])
+        step = max(chunk, CUDA_CHUNK)
+        return torch.cat([function(slice(start, start + step)) for start in range(0, count, step)])
     out = like.new_empty(count, *like.shape[1:])
 
     def work(rows: slice) -> None:

@@ -253,6 +253,17 @@ def see(
 
 
 @compiled
+def solid_angle(places: Floats, q: int, points: Floats, moments: Floats, softening: Floats, i: int) -> Any:
+    """Find the solid angle of the oriented point i, see `solid_angles`, at the place q."""
+    squared, flux = softening[i], 0.0
+    for axis in range(3):
+        step = points[i, axis] - places[q, axis]
+        squared += step * step
+        flux += moments[i, axis] * step
+    return flux / (squared * np.sqrt(squared))
+
+
+@compiled
 def solid_angles(places: Floats, points: Floats, moments: Floats, softening: Floats) -> Any:
     """Find the winding number (Q,) at places (Q, 3) of oriented points (N, 3) with moments (N, 3): normals times areas.
 
@@ -261,12 +272,7 @@ def solid_angles(places: Floats, points: Floats, moments: Floats, softening: Flo
     result = np.zeros(len(places))
     for q in range(len(places)):
         for i in range(len(points)):
-            squared, flux = softening[i], 0.0
-            for axis in range(3):
-                step = points[i, axis] - places[q, axis]
-                squared += step * step
-                flux += moments[i, axis] * step
-            result[q] += flux / (squared * np.sqrt(squared))
+            result[q] += solid_angle(places, q, points, moments, softening, i)
     return result / (4 * np.pi)
 
 
@@ -280,12 +286,7 @@ def add_windings(
     """
     for q in range(len(places)):
         for i in range(len(points)):
-            squared, flux = softening[i], 0.0
-            for axis in range(3):
-                step = points[i, axis] - places[q, axis]
-                squared += step * step
-                flux += moments[i, axis] * step
-            total[receiver[q], sender[i]] += flux / (squared * np.sqrt(squared))
+            total[receiver[q], sender[i]] += solid_angle(places, q, points, moments, softening, i)
 
 
 @compiled

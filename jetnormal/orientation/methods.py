@@ -72,10 +72,12 @@ def choose_signs(
             "global": outward, for closed surfaces; the wall of a cavity looks into the cavity. A component that is
             seen from both sides (a terrain, a wall) is turned up.
             "view": as "global", but open surfaces look to the side from which one sensor saw them, if that can be
-            found. "mst": consistent over a spanning tree of each component, whose extreme points then look out; one
-            without an outside is turned up. An inner shell looks out of itself. "viewpoint": towards `viewpoint`; where
-            the sight line grazes the surface, neighbors count as well. "up": n_z > 0, for airborne scans; where n_z is
-            0, n_y > 0, and where that is 0 too, n_x > 0. "terrain": up, walls and crowns away from what is behind them.
+            found.
+            "mst": consistent over a spanning tree of each component, whose extreme points then look out; one without
+            an outside is turned up. An inner shell looks out of itself.
+            "viewpoint": towards `viewpoint`; where the sight line grazes the surface, neighbors count as well.
+            "up": n_z > 0, for airborne scans; where n_z is 0, n_y > 0, and where that is 0 too, n_x > 0.
+            "terrain": up, walls and crowns away from what is behind them.
             "none": as they are.
         viewpoint: for the method "viewpoint", the sensor's (x, y, z) in the frame of the points, or one for each
             point, (N, 3). A normal at a right angle to its sight line, or without one, is turned up.

@@ -10,7 +10,6 @@ from jetnormal.errors import UsageError
 from jetnormal.support.options import Option, build
 
 NODE_FEATURES = 5  # of a neighborhood: three variances, the tilt and the length of the offset to its centroid
-COARSE_NEIGHBORS = 17  # of the next level that vote for a point: its parent and the parent's neighbors
 FEATURES = 12  # invariants of an edge
 MAX_CHANNELS = 4096
 MAX_LAYERS = 32

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from jetnormal.errors import ModelError
 from jetnormal.geometry.pyramid import SAME, Level, Neighborhood, Pyramid
 from jetnormal.networks.cloudfit import edge_kernels, vote_kernels
-from jetnormal.networks.cloudfit.config import BALLOTS, COARSE_NEIGHBORS, FEATURES, CloudFitConfig, check_shapes
+from jetnormal.networks.cloudfit.config import BALLOTS, FEATURES, CloudFitConfig, check_shapes
 from jetnormal.networks.model_file import read_model_file
 from jetnormal.support.device import available_cores
 
@@ -201,7 +201,7 @@ class _Pass:
         senders = [(h[number], here, _within(here, levels[number]))]
         if number + 1 < len(levels):
             above, parent = levels[number + 1], levels[number].parents[:, 0]
-            neighbors = np.ascontiguousarray(_with_itself(parent, above)[:, :COARSE_NEIGHBORS])
+            neighbors = _with_itself(parent, above)
             wide = Edges(here, surfaces[number + 1], neighbors, above.scale[parent])
             senders.append((h[number + 1], surfaces[number + 1], wide))
         return self._vote(f"direction.{number}.{vote}", h[number], here, senders)

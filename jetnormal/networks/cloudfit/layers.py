@@ -41,10 +41,11 @@ class Nodes:
 
     def turned(self, normals: Tensor) -> Nodes:
         """The same points with other normals."""
-        height = 3 * (normals * self.centroid).sum(1)
-        # NumPy's hyperbolic tangent: PyTorch's depends in the last digit on how its threads divide the numbers
-        on_cpu = height.device.type == "cpu"
-        sign = torch.from_numpy(np.tanh(height.detach().numpy())) if on_cpu else torch.tanh(height)
+
+        def side(rows: slice) -> Tensor:
+            return torch.tanh(3 * (normals[rows] * self.centroid[rows]).sum(1))
+
+        sign = by_rows(side, len(normals))
         return Nodes(self.positions, self.neighbors, self.scale, normals, self.centroid, sign)
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from jetnormal.geometry.pyramid import SAME, Neighborhood, Pyramid
-from jetnormal.networks.cloudfit.config import COARSE_NEIGHBORS, NODE_FEATURES, CloudFitConfig
+from jetnormal.networks.cloudfit.config import NODE_FEATURES, CloudFitConfig
 from jetnormal.networks.cloudfit.layers import EdgeConv, Edges, Nodes, ZDirection, connect
 from jetnormal.networks.rows import by_rows
 
@@ -165,7 +165,7 @@ class CloudFit(nn.Module):
         senders = [(h[number], here, edges)]
         if number + 1 < len(nodes):
             above, parent = nodes[number + 1], self._tensor(pyramid.levels[number].parents[:, 0]).long()
-            neighbors = _with_itself(parent, above)[:, :COARSE_NEIGHBORS].contiguous()
+            neighbors = _with_itself(parent, above)
             senders.append((h[number + 1], above, connect(here, above, neighbors, above.scale[parent])))
         normals: Tensor = direction(h[number], here, senders)
         return normals
