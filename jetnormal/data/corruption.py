@@ -21,13 +21,15 @@ GRADIENT_DENSITY = 0.01  # at the sparse end, relative to the dense end
 
 # How often a generated cloud is corrupted in which way.
 CORRUPTION_SHARES = {
-    "clean": 0.30,
-    "low": 0.20,
-    "medium": 0.20,
-    "high": 0.15,
+    "clean": 0.24,
+    "low": 0.17,
+    "medium": 0.18,
+    "high": 0.14,
+    "varied": 0.12,
     "gradient": 0.075,
     "striped": 0.075,
 }
+VARIED_NOISE = (2e-4, 8e-3)  # between PCPNet's levels and below them, which real scans do not keep to
 NOISE_JITTER = 1.3  # a noise level is multiplied by a factor between 1/1.3 and 1.3
 UNIFORM_NOISE_SHARE = 0.15  # of the noisy clouds; the others are Gaussian
 HOLES_SHARE = 0.10  # of all generated clouds, whatever else happens to them
@@ -65,14 +67,24 @@ def scan(
         points, normals = points[keep], normals[keep]
     else:
         points, normals = surface.sample(count, rng)
-    if kind in NOISE_LEVELS:
-        level = NOISE_LEVELS[kind] * NOISE_JITTER ** rng.uniform(-1, 1)
+    level = _noise_level(kind, rng)
+    if level:
         uniform = rng.random() < UNIFORM_NOISE_SHARE
         points = add_noise(points, level, rng, "uniform" if uniform else "gaussian")
     if rng.random() < HOLES_SHARE:
         keep = punch_holes(points, rng)
         points, normals = points[keep], normals[keep]
     return points, normals, kind
+
+
+def _noise_level(kind: str, rng: np.random.Generator) -> float:
+    """Standard deviation of the noise of a kind of corruption, as a fraction of the diagonal; 0 for none."""
+    if kind == "varied":
+        low, high = VARIED_NOISE
+        return low * (high / low) ** rng.random()
+    if kind in NOISE_LEVELS:
+        return NOISE_LEVELS[kind] * NOISE_JITTER ** rng.uniform(-1, 1)
+    return 0.0
 
 
 def add_noise(

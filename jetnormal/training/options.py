@@ -125,8 +125,12 @@ class TrainOptions(OptionSet):
         int, Option("Patches, or crops of clouds, in a step of the optimizer.", low=1, flag=False)
     ] = 256
     optimizer: Annotated[
-        Literal["adam", "adamw", "sgd"],
-        Option("adam; adamw (decoupled weight decay); or sgd (with a momentum of 0.9).", flag=False),
+        Literal["adam", "adamw", "muon", "sgd"],
+        Option(
+            "adam; adamw (decoupled weight decay); muon (for matrices, adamw for the rest); or sgd (with a momentum of "
+            "0.9).",
+            flag=False,
+        ),
     ] = "adam"
     learning_rate: Annotated[float, Option("Highest learning rate of the schedule.", low=0, high=1000, flag=False)] = (
         1e-3

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +14,11 @@ from jetnormal.errors import InputError
 from jetnormal.networks.patchfit.network import parameter_count
 from jetnormal.support.report import logger
 from jetnormal.training.families import family
-from jetnormal.training.options import DataOptions, TrainOptions
+from jetnormal.training.optimizers import make_optimizer
+from jetnormal.training.options import DataOptions
 from jetnormal.training.recipe import Recipe, read_recipe, recipe_text
 from jetnormal.training.run import CONFIG_NAME, SAVE_INTERVAL, Run
 from jetnormal.training.trainer import Trainer
-
-OPTIMIZERS: dict[str, Callable[..., torch.optim.Optimizer]] = {
-    "adam": torch.optim.Adam,
-    "adamw": torch.optim.AdamW,
-    "sgd": partial(torch.optim.SGD, momentum=0.9),
-}
 
 
 def train(
@@ -66,7 +59,7 @@ def train(
         UsageError: the run to resume began with other options, an epoch has less than one batch, or TensorBoard is
             asked for and not installed.
         ModelError: the loss, its gradient or the weights are no longer finite, or `initial` cannot be started from.
-        ResourceError: the device is not there.
+        ResourceError: the device is not there, or PyTorch lacks the optimizer.
     """
     options, located = recipe.training, _located(recipe)
     config = recipe_text(located)
@@ -76,7 +69,7 @@ def train(
     prepare = family(recipe.family).task
     with prepare(recipe.network, options, recipe.losses, device, threads) as task:
         network, parameters = task.network, parameter_count(task.network)
-        optimizer = _optimizer(network, options)
+        optimizer = make_optimizer(network, options)
         run = Run(folder, recipe.facts(), network, optimizer, options.average, tensorboard, save_interval)
         trainer = Trainer(task, run, options, source, validation)
         with run:
@@ -128,11 +121,6 @@ def open_validation(data: DataOptions) -> DataSource | None:
         clouds_per_epoch=data.clouds_per_epoch,
         points=data.points_per_cloud,
     )
-
-
-def _optimizer(network: torch.nn.Module, options: TrainOptions) -> torch.optim.Optimizer:
-    kind = OPTIMIZERS[options.optimizer]
-    return kind(network.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay)
 
 
 def _located(recipe: Recipe) -> Recipe:

@@ -5,7 +5,15 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from jetnormal.data.corruption import CORRUPTION_SHARES, NOISE_LEVELS, add_noise, punch_holes, scan, thin
+from jetnormal.data.corruption import (
+    CORRUPTION_SHARES,
+    NOISE_LEVELS,
+    VARIED_NOISE,
+    add_noise,
+    punch_holes,
+    scan,
+    thin,
+)
 from jetnormal.data.solids.primitives import RoundedBox
 
 
@@ -93,7 +101,7 @@ def test_scan_keeps_the_clean_normals_and_draws_each_kind_by_its_share():
         assert len(points) == len(normals)
         assert 100 <= len(points) <= 400
         error = np.sqrt(((points - normals) ** 2).mean())  # the clean point of a unit sphere is its normal
-        level = NOISE_LEVELS.get(kind, 0.0) * np.sqrt(12)
-        assert 0.6 * level <= error <= 1.5 * level + 1e-12
+        least, most = VARIED_NOISE if kind == "varied" else (NOISE_LEVELS.get(kind, 0.0),) * 2
+        assert 0.6 * least * np.sqrt(12) <= error <= 1.5 * most * np.sqrt(12) + 1e-12
     for kind, share in CORRUPTION_SHARES.items():
         assert kinds[kind] / 600 == pytest.approx(share, abs=0.06)
