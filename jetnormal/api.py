@@ -124,7 +124,7 @@ class Estimator(NormalOptions):
         """Estimate oriented unit normals.
 
         Args:
-            points: (N, 3) or organised (H, W, 3) coordinates, a cloud, the path of one, or an object of PyTorch,
+            points: (N, 3) or organized (H, W, 3) coordinates, a cloud, the path of one, or an object of PyTorch,
                 Open3D, trimesh or PyVista.
             viewpoint: where the sensor stood this time, (x, y, z) in the frame of the points.
 
@@ -176,7 +176,7 @@ def estimate(points: Any, options: EstimateOptions) -> Any:
     """Estimate oriented unit normals; the model stays loaded for the next call.
 
     Args:
-        points: (N, 3) or organised (H, W, 3) coordinates, a cloud, the path of one, or an object of PyTorch, Open3D,
+        points: (N, 3) or organized (H, W, 3) coordinates, a cloud, the path of one, or an object of PyTorch, Open3D,
             trimesh or PyVista.
 
     Returns:
@@ -280,7 +280,7 @@ def _taken(points: Any) -> Cloud:
 
 
 def _rows_of(points: Any, cloud: Cloud) -> tuple[int, ...]:
-    """The shape that results for points have: (H, W) of organised ones, else (N,)."""
+    """The shape that results for points have: (H, W) of organized ones, else (N,)."""
     shape = np.shape(points) if not isinstance(points, (Cloud, str, PathLike)) else ()
     return shape[:2] if len(shape) == 3 else (len(cloud),)
 

@@ -82,6 +82,8 @@ def _from_array(values: Any) -> Cloud:
 
 
 def _described(values: Any) -> str:
+    if isinstance(values, np.ndarray):
+        return f"an array of {values.dtype}"
     return f"a {type(values).__name__}" + (" of unequal rows" if isinstance(values, (list, tuple)) else "")
 
 

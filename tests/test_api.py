@@ -66,7 +66,9 @@ def test_a_model_is_a_name_or_a_path_and_no_network(tmp_path):
     path = tmp_path / "own.safetensors"
     path.write_bytes(factory.model_file("deepfit-small").read_bytes())
     assert Estimator(path).model == str(path)
-    with pytest.raises(UsageError, match=r"`model` is a name or the path of a model file, not a PatchFit"):
+    with pytest.raises(
+        UsageError, match=r"`model` is a name or the path of a model file, not a PatchFit; `estimate` and"
+    ):
         jetnormal.estimate(sphere(), model=jetnormal.load_model("deepfit-small"))
 
 

@@ -29,7 +29,7 @@ def test_arrays_and_lists_are_points(points):
     assert np.array_equal(to_cloud(points).points, POINTS)
 
 
-def test_organised_points_come_row_by_row_and_are_known_as_such():
+def test_organized_points_come_row_by_row_and_are_known_as_such():
     cloud = to_cloud(POINTS.reshape(3, 4, 3))
     assert np.array_equal(cloud.points, POINTS)
     assert (cloud.source.height, cloud.source.width) == (3, 4)

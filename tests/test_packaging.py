@@ -78,7 +78,7 @@ def test_source_distribution_holds_what_a_clone_holds(dist):
     assert {name for name in tracked if (ROOT / name).exists()} <= names
 
 
-def test_wheel_carries_models_types_and_licence(wheel):
+def test_wheel_carries_models_types_and_license(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     models = {f"jetnormal/models/{path.name}" for path in (ROOT / "models").iterdir()}
     assert models <= set(names)

@@ -38,9 +38,9 @@ app.command(cls=GroupedCommand)(reconstruct)
 app.command(cls=GroupedCommand)(preview)
 app.command(cls=GroupedCommand)(evaluate)
 app.command(cls=GroupedCommand)(train)
-app.command()(models)
-app.command()(export)
-app.command()(dataset)
+app.command(cls=GroupedCommand)(models)
+app.command(cls=GroupedCommand)(export)
+app.command(cls=GroupedCommand)(dataset)
 
 
 def _print_version(wanted: bool) -> None:

@@ -47,12 +47,19 @@ class GroupedCommand(TyperCommand):
     Typer's own groups, its panels, need Rich, whose import takes longer than all the rest of the start.
     """
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Name a required argument without Typer's braces."""
+        return [piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)]
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         sections: dict[str, list[tuple[str, str]]] = {"Arguments": []}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
-                default = "Arguments" if parameter.param_type_name == "argument" else "Options"
+                default = "Options"
+                if parameter.param_type_name == "argument":
+                    default = "Arguments"
+                    record = (record[0].partition(" <")[0], record[1])  # without Typer's <path>
                 group = getattr(parameter, "rich_help_panel", None) or default
                 sections.setdefault(group, []).append(record)
         sections["Options"] = sections.pop("Options", [])  # those of no group come last

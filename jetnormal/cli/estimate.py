@@ -10,7 +10,7 @@ import typer
 
 from jetnormal.cli.derive import with_options
 from jetnormal.cli.failures import spell
-from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.cli.options import CLOUDS, Json, Quiet, Verbose, set_verbosity
 from jetnormal.errors import UsageError
 from jetnormal.jobs.options import BatchOptions, EstimateOptions, FileOptions, LargeOptions, ReconstructOptions
 from jetnormal.support.report import logger, print_json
@@ -21,7 +21,7 @@ from jetnormal.support.streams import STREAM
 def estimate(
     input: Annotated[
         list[Path],
-        typer.Argument(metavar="INPUT...", help="Point clouds: .ply .pcd .las .laz .e57 .ptx .xyz .npy ..., or -."),
+        typer.Argument(metavar="INPUT", help=f"Point clouds: {CLOUDS}, or - (a stream)."),
     ],
     options: EstimateOptions,
     files: FileOptions,

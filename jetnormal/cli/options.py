@@ -10,6 +10,8 @@ from jetnormal.errors import UsageError
 from jetnormal.support.options import MAX_THREADS
 from jetnormal.support.report import configure_logging
 
+CLOUDS = ".ply .pcd .las .laz .e57 .ptx .pts .xyz .xyzn .txt .asc .csv .npy .npz"  # all that `formats` reads
+
 Device = Annotated[str, typer.Option(metavar="auto|cpu|cuda[:N]", help="Where the network runs.")]
 Threads = Annotated[
     int | None, typer.Option(min=1, max=MAX_THREADS, metavar="T", help="CPU threads.", show_default="all cores")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from jetnormal.cli.derive import with_options
-from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.cli.options import CLOUDS, Json, Quiet, Verbose, set_verbosity
 from jetnormal.jobs.options import PreviewOptions, ReadOptions
 from jetnormal.support.report import logger, print_json
 
@@ -17,9 +17,7 @@ from jetnormal.support.report import logger, print_json
 def preview(
     input: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE", help="Cloud (.ply .pcd .las .laz .e57 .xyz ...) or mesh (.ply .obj .stl .off .glb .npz)."
-        ),
+        typer.Argument(metavar="FILE", help=f"Cloud ({CLOUDS}) or mesh (.ply .obj .stl .off .glb .npz)."),
     ],
     options: PreviewOptions,
     files: ReadOptions,

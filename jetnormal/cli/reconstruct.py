@@ -9,16 +9,14 @@ import typer
 
 from jetnormal.cli.derive import with_options
 from jetnormal.cli.estimate import report_mesh
-from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.cli.options import CLOUDS, Json, Quiet, Verbose, set_verbosity
 from jetnormal.jobs.options import ReadOptions, ReconstructOptions
 from jetnormal.support.report import print_json
 
 
 @with_options
 def reconstruct(
-    input: Annotated[
-        Path, typer.Argument(metavar="INPUT", help="Point cloud: .ply .pcd .las .laz .e57 .xyz ..., or -.")
-    ],
+    input: Annotated[Path, typer.Argument(metavar="INPUT", help=f"Point cloud: {CLOUDS}, or - (a stream).")],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="MESH", help="File to write: .ply, .obj, .stl, .off or .glb.")
     ],

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from jetnormal.estimators.base import Estimator
 from jetnormal.estimators.factory import make_estimator, network_estimator, runs_on_gpu
+from jetnormal.geometry.pyramid import NEIGHBORS
 from jetnormal.networks.checkpoint import build_network, load_tensors
 from jetnormal.networks.iternet import IterNetConfig
 from jetnormal.networks.nestinet import NestiNetConfig
@@ -117,6 +118,8 @@ def describe(architecture: str, config: dict[str, Any]) -> str:
     """Describe a network in words."""
     if architecture == "patchfit":
         return _describe_patchfit(PatchFitConfig(**config))
+    if architecture == "cloudfit":
+        return f"CloudFit, {len(config['channels'])} levels of {NEIGHBORS} neighbors"
     if architecture == "iternet":
         return f"IterNet, {config['neighbors']} neighbors, {config['iterations']} iterations"
     if architecture in ("pcpnet", "nestinet"):

@@ -88,9 +88,14 @@ class NormalOptions(OptionSet):
     time_attribute: Annotated[
         str, Option("Attribute that holds each point's time on the trajectory.", metavar="NAME", group="Signs")
     ] = "gps_time"
-    device: Annotated[str, Option("Where a patch network runs.", metavar="auto|cpu|cuda[:N]", group="Resources")] = (
-        "auto"
-    )
+    device: Annotated[
+        str,
+        Option(
+            "Where a network runs; auto takes a GPU, if there is one, for patch networks.",
+            metavar="auto|cpu|cuda[:N]",
+            group="Resources",
+        ),
+    ] = "auto"
     threads: Annotated[
         int | None, Option("CPU threads.", low=1, high=MAX_THREADS, metavar="T", default="all cores", group="Resources")
     ] = None
@@ -110,7 +115,10 @@ class NormalOptions(OptionSet):
         if isinstance(self.model, PathLike):
             object.__setattr__(self, "model", str(self.model))
         if not isinstance(self.model, str):
-            raise UsageError(f"`model` is a name or the path of a model file, not a {type(self.model).__name__}")
+            raise UsageError(
+                f"`model` is a name or the path of a model file, not a {type(self.model).__name__}; "
+                "`estimate` and `Estimator` keep what they load"
+            )
         super().__post_init__()
         viewpoint, names = self.viewpoint, self.viewpoint_attribute
         if viewpoint is not None and not all(map(math.isfinite, viewpoint)):

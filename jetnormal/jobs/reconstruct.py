@@ -110,8 +110,8 @@ def reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTim
     if facts["orient"] is None:
         facts["warnings"] += _doubts(points, normals)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    centre, size = (points.min(axis=0) + points.max(axis=0)) / 2, float(np.ptp(points, axis=0).max())
-    points = (points - centre) / size  # the solver has single precision
+    center, size = (points.min(axis=0) + points.max(axis=0)) / 2, float(np.ptp(points, axis=0).max())
+    points = (points - center) / size  # the solver has single precision
     depth = options.depth or _fitting_depth(points, options.scale, (cloud.source.height or 1) > 1)
     logger.info("reconstructing %s points at depth %d", f"{len(points):,}", depth)
     with timer.stage("reconstruct"):
@@ -139,7 +139,7 @@ def reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTim
         "components": int(surface.component_labels(mesh).max()) + 1,
         "watertight": surface.is_watertight(mesh),
     }
-    return replace(mesh, vertices=mesh.vertices * size + centre), facts
+    return replace(mesh, vertices=mesh.vertices * size + center), facts
 
 
 def _with_normals(cloud: Cloud, options: ReconstructOptions, timer: StageTimer) -> tuple[Cloud, dict[str, Any]]:

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import jetnormal
 from jetnormal import errors
 from jetnormal.cli.app import app, main
+from jetnormal.formats.registry import suffixes
 from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions
 
 COMMANDS = sorted(get_command(app).commands)
@@ -74,6 +75,13 @@ def test_help_of_every_command_shows_an_example_that_runs_it(command):
 def test_help_of_every_command_fits_two_screens(command):
     result = CliRunner().invoke(app, [command, "--help"], terminal_width=120)
     assert len(result.output.splitlines()) < 90
+
+
+@pytest.mark.parametrize("command", ["estimate", "reconstruct", "preview"])
+def test_help_names_every_suffix_and_its_argument_plainly(command):
+    shown = CliRunner().invoke(app, [command, "--help"]).output
+    assert set(suffixes()) <= set(shown.replace("(", " ").replace(",", " ").replace(")", " ").split())
+    assert "{" not in shown and "<path>" not in shown and "Path]" not in shown
 
 
 def test_help_lists_every_command_and_exit_code():
@@ -218,6 +226,11 @@ def test_wrong_usage_exits_2(arguments, estimation, monkeypatch, capsys):
     assert run(monkeypatch, *arguments) == 2
     assert capsys.readouterr().out == ""
     assert estimation.calls == []
+
+
+def test_a_wrong_choice_names_the_option_and_the_choices(estimation, monkeypatch, capsys):
+    assert run(monkeypatch, "estimate", "a.ply", "-o", "b.ply", "--orient", "upp") == 2
+    assert "Invalid value for '--orient': 'upp' is not one of 'auto'," in capsys.readouterr().err
 
 
 def test_estimate_hands_over_its_options(estimation, monkeypatch):

@@ -39,6 +39,13 @@ def test_packaged_models_are_listed(monkeypatch, capsys):
     assert "ms/point" not in shown
 
 
+def test_every_packaged_model_says_its_error_and_what_it_is(monkeypatch, capsys):
+    assert run(monkeypatch, "--no-measure", "--json") == 0
+    for row in json.loads(capsys.readouterr().out)["models"]:
+        assert 5 < row["rmse"] < 15
+        assert "neighbors" in row["architecture"]
+
+
 def test_a_model_file_tells_what_it_costs(trained, monkeypatch, capsys):
     assert run(monkeypatch, trained, "--device", "cpu", "--threads", "1", "--json") == 0
     (found,) = json.loads(capsys.readouterr().out)["models"]

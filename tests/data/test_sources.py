@@ -128,10 +128,10 @@ def test_mesh_clouds_are_labeled_outward_and_vary_in_size(meshes):
     sizes = set()
     for index in range(40):
         cloud = source.cloud(*divmod(index, 4), 0)
-        centre = 10 * "abc".index(cloud.name[0])
+        center = 10 * "abc".index(cloud.name[0])
         assert 250 // 2 <= len(cloud.points) <= 500
         np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1), 1)
-        distance = ((cloud.points - centre) * cloud.normals).sum(axis=1)  # of a face from the centre: 1 / sqrt(3)
+        distance = ((cloud.points - center) * cloud.normals).sum(axis=1)  # of a face from the center: 1 / sqrt(3)
         np.testing.assert_allclose(distance, 1 / np.sqrt(3), atol=6 * 1.3 * 0.012 * np.sqrt(12))
         sizes.add(len(cloud.points))
     assert len(sizes) > 20

@@ -35,7 +35,7 @@ def colored_cloud() -> Cloud:
 @pytest.mark.parametrize(("first", "first_encoding"), TARGETS)
 @pytest.mark.parametrize(("second", "second_encoding"), TARGETS)
 def test_any_format_becomes_any_other(tmp_path, first, first_encoding, second, second_encoding):
-    """Points, normals, colours and labels go through both; only the nameless PTS columns change their names."""
+    """Points, normals, colors and labels go through both; only the nameless PTS columns change their names."""
     cloud = colored_cloud()
     write(cloud, tmp_path / first, encoding=first_encoding)
     target = tmp_path / f"second_{second}"
@@ -108,7 +108,7 @@ def test_a_cloud_goes_through_the_standard_streams(tmp_path, monkeypatch):
         read("-", format="nonesuch")
 
 
-def test_opaque_pcl_colours_become_channels(tmp_path):
+def test_opaque_pcl_colors_become_channels(tmp_path):
     rgba = np.array([0xFF102030, 0x80FF0001], "u4")
     cloud = Cloud(np.zeros((2, 3)), None, {"rgba": rgba}, Source(format="pcd"))
     write(cloud, tmp_path / "a.ply")

@@ -84,7 +84,7 @@ def test_every_point_format_goes_through_unchanged(tmp_path, point_format, suffi
 
 def test_normals_and_attributes_become_extra_dimensions(tmp_path):
     extra = [
-        ("scaled", "i2", ("scales", np.array([0.01])), ("offsets", np.array([5.0])), ("description", "metres")),
+        ("scaled", "i2", ("scales", np.array([0.01])), ("offsets", np.array([5.0])), ("description", "meters")),
         ("bytes", "5u1"),
         ("pair", "2f4"),
         ("ratio", "f8", ("no_data", np.array([-1.0]))),

@@ -14,7 +14,7 @@ NORMALS = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1], [np.nan] * 3,
 
 
 def odd_cloud(coordinates="f4") -> Cloud:
-    """Three by two organised points, one of them NaN, with every type PCD knows and a field of COUNT 4."""
+    """Three by two organized points, one of them NaN, with every type PCD knows and a field of COUNT 4."""
     random = np.random.default_rng(0)
     points = random.normal(0, 1000, (6, 3)).astype(coordinates)
     points[4] = np.nan
@@ -90,7 +90,7 @@ def test_an_unknown_curvature_is_zero_but_is_not_added_beside_old_normals(tmp_pa
     assert header_of(tmp_path / "b.pcd")["FIELDS"] == ["x", "y", "z", "normal_x", "normal_y", "normal_z"]
 
 
-def test_a_part_of_an_organised_cloud_is_one_row(tmp_path):
+def test_a_part_of_an_organized_cloud_is_one_row(tmp_path):
     cloud = odd_cloud()
     part = Cloud(cloud.points[:4], None, {}, cloud.source)
     write(part, tmp_path / "a.pcd")

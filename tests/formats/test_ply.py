@@ -22,17 +22,17 @@ def make_ply(path, encoding="ascii", *, lists=False, faces_first=False, coordina
     dtype = [("x", coordinates), ("red", "u1"), ("y", coordinates), ("z", coordinates), ("label", "i2")]
     dtype += [("nx", "f4"), ("ny", "f4"), ("nz", "f4")] if normals else []
     dtype += [("time", "f8"), ("id", "u4")]
-    vertices = np.zeros(3, dtype + ([("neighbours", "O")] if lists else []))
+    vertices = np.zeros(3, dtype + ([("neighbors", "O")] if lists else []))
     vertices["x"], vertices["y"], vertices["z"] = [0.1, np.nan, 3e5], [1 / 3, 0, -2], [-0.0, 7, 1e-7]
     vertices["red"], vertices["label"], vertices["id"] = [0, 128, 255], [-32768, 0, 5], [0, 7, 2**32 - 1]
     vertices["time"] = [0.1, np.inf, 1e300]
     if normals:
         vertices["nz"] = 1
     if lists:
-        vertices["neighbours"] = [np.array(row, "i4") for row in ([1, 2], [], [0])]
+        vertices["neighbors"] = [np.array(row, "i4") for row in ([1, 2], [], [0])]
     faces = np.array([(np.array(face, "i4"), 7) for face in FACES], [("vertex_indices", "O"), ("part", "u1")])
     elements = [
-        plyfile.PlyElement.describe(vertices, "vertex", val_types={"neighbours": "i4"} if lists else {}),
+        plyfile.PlyElement.describe(vertices, "vertex", val_types={"neighbors": "i4"} if lists else {}),
         plyfile.PlyElement.describe(faces, "face"),
     ]
     order = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}[encoding]

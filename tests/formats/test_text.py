@@ -55,7 +55,7 @@ def test_further_columns_are_attributes(tmp_path):
     assert found["column_4"][1][0] == 0.5
 
 
-def test_three_last_columns_of_bytes_are_colours(tmp_path):
+def test_three_last_columns_of_bytes_are_colors(tmp_path):
     assert attributes_of(tmp_path, "0 0 0 1 128 255\n1 1 1 0 0 9\n") == {
         "red": ("uint8", [1, 0]),
         "green": ("uint8", [128, 0]),
@@ -63,13 +63,13 @@ def test_three_last_columns_of_bytes_are_colours(tmp_path):
     }
 
 
-def test_pts_rows_hold_intensity_and_colours(tmp_path):
+def test_pts_rows_hold_intensity_and_colors(tmp_path):
     found = attributes_of(tmp_path, "2\n0 0 0 -900 1 2 3\n1 1 1 5 0 0 9\n", ".pts")
     assert list(found) == ["intensity", "red", "green", "blue"]
     assert found["intensity"] == ("int32", [-900, 5])
 
 
-def test_a_header_names_colours_normals_and_the_rest(tmp_path):
+def test_a_header_names_colors_normals_and_the_rest(tmp_path):
     text = "Point ID,X,Y,Z,R,G,B,Nx,Ny,Nz,time\n1,0,0,0,1,2,3,0,0,1,1700000000000000001\n"
     path = tmp_path / "a.csv"
     path.write_text(text)

@@ -139,7 +139,7 @@ def test_curvatures_on_a_sphere(slope):
     """The upper cap of a sphere of radius 2, seen along z; with a slope the query is away from its top."""
     radius, size = 2.0, 0.02
     p, q = slope
-    top = torch.tensor([-p, -q, 1.0], dtype=torch.float64) * radius / np.sqrt(1 + p**2 + q**2)  # query - centre
+    top = torch.tensor([-p, -q, 1.0], dtype=torch.float64) * radius / np.sqrt(1 + p**2 + q**2)  # query - center
 
     def height(x, y):
         return (radius**2 - (x + top[0]) ** 2 - (y + top[1]) ** 2).sqrt() - top[2]

@@ -26,7 +26,7 @@ QUERIES = np.array([0, 17, 3, 599, 42])
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_a_patch_is_centred_scaled_and_turned(dtype):
+def test_a_patch_is_centered_scaled_and_turned(dtype):
     points = cloud()
     patches, neighbors = patches_of(points, QUERIES, dtype=dtype)
     tolerance = 1e-6 if dtype == torch.float32 else 1e-12
@@ -48,8 +48,8 @@ def test_a_frame_is_a_rotation_to_the_principal_axes():
     identity = torch.eye(3, dtype=torch.float64).expand(5, 3, 3)
     torch.testing.assert_close(patches.frame.transpose(1, 2) @ patches.frame, identity, rtol=0, atol=1e-12)
     torch.testing.assert_close(torch.linalg.det(patches.frame), torch.ones(5, dtype=torch.float64))
-    centred = patches.points - patches.points.mean(1, keepdim=True)
-    covariance = centred.transpose(1, 2) @ centred / K
+    centered = patches.points - patches.points.mean(1, keepdim=True)
+    covariance = centered.transpose(1, 2) @ centered / K
     torch.testing.assert_close(covariance, torch.diag_embed(patches.variance), rtol=0, atol=1e-12)
     assert (patches.variance.diff(dim=1) < 0).all()
     assert patches.spans_plane.all()

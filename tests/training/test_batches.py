@@ -60,13 +60,13 @@ def test_an_epoch_may_start_at_any_batch(first):
 
 
 def test_patches_of_a_sphere_have_its_normals():
-    """In the frame of its patch, too, a normal is the direction from the sphere's centre."""
+    """In the frame of its patch, too, a normal is the direction from the sphere's center."""
     cloud = Spheres().cloud(0, 1, 0)
     batch = labeled_patches(cloud, NeighborIndex(cloud.points), np.arange(12), K)
     distance = np.linalg.norm(cloud.points[:12, None] - cloud.points[None], axis=2)
     radius = torch.from_numpy(np.sort(distance, axis=1)[:, K - 1]).float()
-    centre = -batch.normals[:, :1] * (2 / radius)[:, None, None]  # from the query at the origin
-    expected = torch.nn.functional.normalize(batch.points - centre, dim=2)
+    center = -batch.normals[:, :1] * (2 / radius)[:, None, None]  # from the query at the origin
+    expected = torch.nn.functional.normalize(batch.points - center, dim=2)
     torch.testing.assert_close(batch.normals, expected, rtol=0, atol=1e-5)
     torch.testing.assert_close(batch.normals.norm(dim=2), torch.ones(12, K))
     assert not batch.points[:, 0].any()

@@ -135,9 +135,9 @@ def test_parts_apply_in_their_order():
     """A boss added after the drilling closes the hole, one added before it is drilled."""
     block, drill = Part(RoundedBox([1, 1, 1])), Part(Lathe(2.0, 0.3), "difference")
     boss = Part(RoundedBox([0.5, 0.5, 1.2]))
-    centre = np.zeros((1, 3))
-    assert Solid([block, drill, boss]).contains(centre)[0]
-    assert not Solid([block, boss, drill]).contains(centre)[0]
+    center = np.zeros((1, 3))
+    assert Solid([block, drill, boss]).contains(center)[0]
+    assert not Solid([block, boss, drill]).contains(center)[0]
 
 
 def test_solid_that_is_cut_away_is_refused():
@@ -165,7 +165,7 @@ def test_random_solids_are_repeatable_and_differ():
 
 
 def test_random_solids_have_edges_and_thin_walls():
-    """Over many solids there are neighbours across sharp edges and points close behind one another."""
+    """Over many solids there are neighbors across sharp edges and points close behind one another."""
     from scipy.spatial import cKDTree
 
     sharp, thin = 0, 0

@@ -24,8 +24,8 @@ def naive_layer(layer: PointLayer, features: torch.Tensor) -> torch.Tensor:
 
 def naive_edges(edges: Edges, patch: torch.Tensor, neighbors: torch.Tensor) -> torch.Tensor:
     """(n, k, C) features of the edges of one (n, C) patch, after both layers."""
-    centre = patch[:, None].expand(-1, neighbors.shape[1], -1)
-    both = torch.cat([patch[neighbors] - centre, centre], dim=2)
+    center = patch[:, None].expand(-1, neighbors.shape[1], -1)
+    both = torch.cat([patch[neighbors] - center, center], dim=2)
     return naive_layer(edges.last, naive_layer(edges.first, both))
 
 

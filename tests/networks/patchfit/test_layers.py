@@ -24,7 +24,7 @@ def seed():
 
 
 @pytest.mark.parametrize("shape", [(5,), (2, 7), (2, 3, 4)])
-def test_a_point_layer_is_linear_normalised_activated(shape):
+def test_a_point_layer_is_linear_normalized_activated(shape):
     layer = with_statistics(PointLayer(6, 10, nn.LeakyReLU(0.2)))
     features = torch.randn(*shape, 6)
     norm = layer.norm
@@ -33,7 +33,7 @@ def test_a_point_layer_is_linear_normalised_activated(shape):
     torch.testing.assert_close(layer(features), torch.where(expected > 0, expected, 0.2 * expected))
 
 
-def test_training_normalises_over_all_points_of_all_patches():
+def test_training_normalizes_over_all_points_of_all_patches():
     rows = PointLayer(6, 10)(torch.randn(4, 7, 6)).flatten(0, 1)
     torch.testing.assert_close(rows.mean(0), torch.zeros(10), rtol=0, atol=1e-6)
     torch.testing.assert_close(rows.var(0, unbiased=False), torch.ones(10), rtol=1e-3, atol=0)
@@ -110,9 +110,9 @@ def test_a_point_is_its_own_neighbor():
 def naive_edge_conv(layer: EdgeConv, features: torch.Tensor) -> torch.Tensor:
     rows = []
     for patch in features:
-        for centre in patch:
-            order = (patch - centre).norm(dim=1).argsort()[: layer.k]
-            edges = torch.stack([torch.cat([centre - patch[j], centre]) for j in order])
+        for center in patch:
+            order = (patch - center).norm(dim=1).argsort()[: layer.k]
+            edges = torch.stack([torch.cat([center - patch[j], center]) for j in order])
             rows.append(layer.last(layer.second(layer.first(edges))).max(0).values)
     return torch.stack(rows).view(*features.shape[:2], -1)
 
@@ -144,18 +144,18 @@ def naive_pooling(layer: AdaptivePooling, points, features, kept):
 def test_adaptive_pooling_equals_a_loop_over_the_points(farthest):
     layer = with_statistics(AdaptivePooling(16, points=9, farthest=farthest))
     points, features = torch.randn(2, 30, 3), torch.randn(2, 30, 16)
-    centres, pooled = layer(points, features)
+    centers, pooled = layer(points, features)
     kept = farthest_points(points, 9) if farthest else every_nth(points, 9)
-    assert torch.equal(centres, gather(points, kept))
-    assert torch.equal(centres[:, 0], points[:, 0])
+    assert torch.equal(centers, gather(points, kept))
+    assert torch.equal(centers[:, 0], points[:, 0])
     torch.testing.assert_close(pooled, naive_pooling(layer, points, features, kept), rtol=1e-4, atol=1e-5)
 
 
 def test_pooling_to_more_points_than_there_are_keeps_all():
     points, features = torch.randn(2, 6, 3), torch.randn(2, 6, 16)
-    centres, pooled = with_statistics(AdaptivePooling(16, points=20))(points, features)
+    centers, pooled = with_statistics(AdaptivePooling(16, points=20))(points, features)
     assert pooled.shape == (2, 6, 16)
-    assert sorted(centres[0].tolist()) == sorted(points[0].tolist())
+    assert sorted(centers[0].tolist()) == sorted(points[0].tolist())
 
 
 @pytest.mark.parametrize("axis", [1, 2])

@@ -236,7 +236,7 @@ def test_iterating_does_not_move_an_exact_plane():
 
 @pytest.mark.parametrize("config", CONFIGURATIONS)
 def test_gradients_reach_every_parameter(config):
-    """All but those that normalisation and softmax cancel out: biases before the one, shifts before the other."""
+    """All but those that normalization and softmax cancel out: biases before the one, shifts before the other."""
     network = PatchFit(config)
     zero_at_start = [network.transform.quaternion[-1]]
     if network.weights.transform is not None:
@@ -247,15 +247,15 @@ def test_gradients_reach_every_parameter(config):
         assert not layer.weight.any()
         nn.init.normal_(layer.weight, std=0.05)
     layers = [(name, layer) for name, layer in network.named_modules() if isinstance(layer, PointLayer)]
-    cancelled = {f"{name}.linear.bias" for name, layer in layers if layer.linear.bias is not None}
-    cancelled |= {name for name, _ in network.named_parameters() if name.endswith("attention.1.bias")}
+    canceled = {f"{name}.linear.bias" for name, layer in layers if layer.linear.bias is not None}
+    canceled |= {name for name, _ in network.named_parameters() if name.endswith("attention.1.bias")}
 
     points, normals = bent_patches(8, 64, noise=0.05)
     total_loss(network(points, neighbors=True), normals, LossWeights())["loss"].backward()
     largest = {name: p.grad.abs().max().item() for name, p in network.named_parameters()}
     assert np.isfinite(list(largest.values())).all()
-    assert [name for name, value in largest.items() if value == 0 and name not in cancelled] == []
-    assert max(largest[name] for name in cancelled) < 1e-3 * max(largest.values())  # rounding
+    assert [name for name, value in largest.items() if value == 0 and name not in canceled] == []
+    assert max(largest[name] for name in canceled) < 1e-3 * max(largest.values())  # rounding
 
 
 def test_the_last_layers_of_the_transforms_learn_from_the_start():
