@@ -8,11 +8,17 @@ from typing import Annotated
 import typer
 
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.networks.packaged import complete_network
 from jetnormal.support.report import logger, print_json
 
 
 def export(
-    model: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A packaged patch network, or a model file.")],
+    model: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|FILE", help="A packaged patch network, or a model file.", autocompletion=complete_network
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="OUTPUT", help="File to write: .onnx.")],
     force: Annotated[bool, typer.Option("--force", help="Overwrite OUTPUT where it exists.")] = False,
     json: Json = False,

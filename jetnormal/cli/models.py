@@ -11,7 +11,7 @@ import typer
 
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
-from jetnormal.jobs.parsing import complete_model
+from jetnormal.networks.packaged import complete_network
 from jetnormal.support.report import print_json
 
 if TYPE_CHECKING:
@@ -23,7 +23,10 @@ def models(
     model: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="NAME|FILE", help="Models to list.", show_default="all packaged ones", autocompletion=complete_model
+            metavar="NAME|FILE",
+            help="Models to list.",
+            show_default="all packaged ones",
+            autocompletion=complete_network,
         ),
     ] = None,
     complexity: Annotated[

@@ -20,6 +20,12 @@ EXTENDABLE = ("epochs", "validate_every")  # of a run that is resumed
 MOVABLE = ("folders", "validation")  # where the same data lie now
 
 
+def _complete_recipe(text: str) -> list[str]:
+    from jetnormal.training.recipe import recipe_names
+
+    return [name for name in recipe_names() if name.startswith(text)]
+
+
 @with_options
 def train(
     data: Annotated[dict[str, Any], Given(DataOptions)],
@@ -31,6 +37,7 @@ def train(
             metavar="NAME|FILE",
             help="Recipe of the training: network, data, losses, schedule.",
             show_default="cloudfit",
+            autocompletion=_complete_recipe,
             rich_help_panel="Training",
         ),
     ] = None,

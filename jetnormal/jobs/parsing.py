@@ -57,7 +57,7 @@ def parse_bytes(text: str) -> int:
 
 
 def complete_model(text: str) -> list[str]:
-    """The names of models that begin with a text."""
+    """List the models, networks and classical fits, whose names begin with a text."""
     from jetnormal.estimators.factory import model_names
 
     return [name for name in model_names() if name.startswith(text)]

@@ -24,6 +24,11 @@ def packaged_names() -> list[str]:
     return sorted(path.stem for path in model_directory().glob(f"*{SUFFIX}"))
 
 
+def complete_network(text: str) -> list[str]:
+    """List the packaged networks whose names begin with a text."""
+    return [name for name in packaged_names() if name.startswith(text)]
+
+
 def resolve(name: str | Path, others: Iterable[str] = ()) -> Path:
     """Find the file of a packaged network (`cloudfit`) or of a path.
 

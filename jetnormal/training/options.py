@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+from jetnormal.networks.packaged import complete_network
 from jetnormal.support.options import Option, OptionSet
 
 CLOUDS_PER_EPOCH = 24
@@ -117,6 +118,7 @@ class TrainOptions(OptionSet):
             "Model to start from; the weights that fit are taken over.",
             metavar="NAME|FILE",
             default="none",
+            complete=complete_network,
             group="Training",
         ),
     ] = ""

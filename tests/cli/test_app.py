@@ -362,3 +362,6 @@ def test_shell_completion_completes_commands_and_choices():
     assert complete("jetnormal estimate --model clo") == ["cloudfit"]
     assert complete("jetnormal evaluate --model p") == ["pca"]
     assert complete("jetnormal models deepf") == ["deepfit-small"]
+    assert complete("jetnormal export adaf") == ["adafit-small"]
+    assert complete("jetnormal train --initial itern") == ["iternet"]
+    assert complete("jetnormal train --recipe nestinet-p") == ["nestinet-paper"]

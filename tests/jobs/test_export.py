@@ -54,7 +54,7 @@ def test_the_exported_graph_gives_the_normals_of_the_network(name, tmp_path):
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path):
-    with pytest.raises(ModelError, match="cloudfit: is cloudfit; only patch networks"):
+    with pytest.raises(ModelError, match="cloudfit: its architecture is cloudfit; only patch networks"):
         export_model("cloudfit", tmp_path / "a.onnx")
     with pytest.raises(UsageError, match=r"name the file \.onnx"):
         export_model("deepfit-small", tmp_path / "a.pb")
