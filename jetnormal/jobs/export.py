@@ -57,9 +57,7 @@ def export_model(name: str, target: Path, *, overwrite: bool = False) -> dict[st
     atomic.check_target(target, overwrite)
     network = load_model(name)
     if not isinstance(network, PatchFit):
-        raise ModelError(
-            f"{name}: its architecture is {network.architecture}; only patch networks (DeepFit, AdaFit, GraphFit) can be exported"
-        )
+        raise ModelError(f"{name}: its architecture is {network.architecture}; only patch networks can be exported")
     graph = _traced(network)
     with atomic.atomic_write(target, overwrite=overwrite) as stream:
         stream.write(graph)
