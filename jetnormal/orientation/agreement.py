@@ -1,4 +1,4 @@
-"""Agreement of the signs of neighbors, and patches of points whose signs all agree.
+"""Agreement of the signs of neighbors, and regions of points whose signs all agree.
 
 The edge test is the mirror test of Xie et al., "Piecewise C1 continuous surface reconstruction of noisy point clouds
 via local implicit quadric regression" (2003). It is right across sharp edges and between the sides of thin plates,
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.orientation.kernels import (
+from jetnormal.orientation.kernels.edges import (
     edge_agreement,
     edge_votes,
     join_edges,
@@ -39,9 +39,9 @@ ROUGHNESS_RANK = 2
 # Edges much longer than this many roughnesses are judged by the mirror test, much shorter ones by n.n'.
 # Of 4, 8 and 16 this was the best on noisy solids, and none of them cost anything on clean ones.
 ROUGHNESS_SCALE = 16.0
-PATCH_AGREEMENT = 0.8  # of the edges that join points to a patch
+REGION_AGREEMENT = 0.8  # of the edges that join points to a region
 BUCKETS = 4096  # edges of nearly the same weight are in the order of their points
-PATCH_POINTS = 200  # at most: a wrong edge inside of a patch spoils no other
+REGION_POINTS = 200  # at most: a wrong edge inside of a region spoils no other
 # An edge longer than this many radii of its other end starts at a stray point: it joins nothing.
 BRIDGE_RADII = 3.0
 REVOTES = 3
@@ -62,8 +62,8 @@ class Surface:
         radius: (N,) distance of the farthest of these.
         spacing: (N,) distance between points on a flat surface of the density found there.
         roughness: (N,) noise, as a height over the tangent plane; it levels off as noise exceeds the spacing.
-        edges: (N, k) float32 agreement of the signs of a point and its neighbors (`kernels.edge_agreement`); 0 from
-            stray points.
+        edges: (N, k) float32 agreement of the signs of a point and its neighbors (`kernels.edges`); 0 from stray
+            points.
     """
 
     def __init__(self, points: Floats, normals: Floats) -> None:
@@ -108,8 +108,8 @@ class Forest:
         return Forest(self.row[kept], self.col[kept], self.agreement[kept], self.nodes)
 
 
-def patch_forest(coupling: Any) -> Forest:
-    """The spanning forest of patches over the strongest couplings, a symmetric sparse (M, M) matrix."""
+def region_forest(coupling: Any) -> Forest:
+    """The spanning forest of regions over the strongest couplings, a symmetric sparse (M, M) matrix."""
     from scipy.sparse.csgraph import minimum_spanning_tree
 
     strength = abs(coupling)
@@ -153,35 +153,34 @@ def spread_signs(forest: Forest) -> tuple[Bools, Ints]:
     return flips[:-1], tree
 
 
-def patches(surface: Surface) -> tuple[Bools, Ints]:
-    """Find patches of up to `PATCH_POINTS` points that sure edges connect; the surest edges are taken first.
+def regions(surface: Surface) -> tuple[Bools, Ints]:
+    """Find regions of up to `REGION_POINTS` points that sure edges connect; the surest edges are taken first.
 
     Returns:
-        Which normals (N,) to flip so that they are consistent in every patch, and each point's patch (N,).
+        Which normals (N,) to flip so that they are consistent in every region, and each point's region (N,).
     """
     edges = np.empty(0, np.uint32 if surface.edges.size < 2**32 else np.int64)
-    order = surest_first(
-        surface.points, surface.edges, surface.radius, surface.neighbors, PATCH_AGREEMENT, LENGTH_WEIGHT, BUCKETS, edges
-    )
-    root = np.arange(len(surface.points))
+    points, radius, neighbors = surface.points, surface.radius, surface.neighbors
+    order = surest_first(points, surface.edges, radius, neighbors, REGION_AGREEMENT, LENGTH_WEIGHT, BUCKETS, edges)
+    root = np.arange(len(points))
     flips = np.zeros(len(root), dtype=np.bool_)
-    join_edges(order, surface.neighbors, surface.edges, PATCH_POINTS, root, flips)
+    join_edges(order, neighbors, surface.edges, REGION_POINTS, root, flips)
     return flips, np.unique(root, return_inverse=True)[1]
 
 
-def couplings(surface: Surface, patch: Ints, flips: Bools) -> Any:
-    """How far patches agree, a symmetric sparse (M, M) matrix.
+def couplings(surface: Surface, region: Ints, flips: Bools) -> Any:
+    """How far regions agree, a symmetric sparse (M, M) matrix.
 
-    It is the sum of c |c| over the edges c between two patches, times the ratio of this sum to the sum of c^2: many
+    It is the sum of c |c| over the edges c between two regions, times the ratio of this sum to the sum of c^2: many
     edges that contradict each other count less than a few that agree. flips (N,): which normals are taken as flipped.
     """
     from scipy.sparse import coo_matrix, csr_matrix
 
-    count = int(patch.max()) + 1
+    count = int(region.max()) + 1
     total = net = csr_matrix((count, count))
-    for rows in chunks(len(patch)):
+    for rows in chunks(len(region)):
         neighbors, edges = surface.neighbors[rows], surface.edges[rows]
-        here, there = np.broadcast_to(patch[rows, None], neighbors.shape), patch[neighbors]
+        here, there = np.broadcast_to(region[rows, None], neighbors.shape), region[neighbors]
         between = (here != there) & (edges != 0)
         weight = np.where(flips[rows, None] ^ flips[neighbors], -edges, edges)[between].astype(np.float64)
         places = here[between], there[between]
@@ -217,7 +216,7 @@ class LeastSquares:
 def relax(
     coupling: Any, votes: Floats, demand: LeastSquares | None = None, *, steps: int = 400, tolerance: float = 1e-6
 ) -> Floats:
-    """Find the signs of patches from couplings and votes, as numbers between -1 and 1.
+    """Find the signs of regions from couplings and votes, as numbers between -1 and 1.
 
     Minimizes the sum of |W_ab| (x_a - sign(W_ab) x_b)^2 / 2, |u_a| (x_a - sign(u_a))^2 and a demand by conjugate
     gradients. Where all of them are consistent, |x| is 1; where they contradict each other, it comes near 0.

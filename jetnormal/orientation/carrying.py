@@ -1,8 +1,8 @@
 """Carry the signs of a thinned cloud to the points of the whole cloud.
 
-The nearest oriented point may lie on the other side of a thin part. So points are first joined to patches in which all
-signs agree, as for a whole cloud. The oriented points in a patch vote for its sign, and couplings between patches carry
-it to patches that hold no oriented point.
+The nearest oriented point may lie on the other side of a thin part. So points are first joined to regions in which all
+signs agree, as for a whole cloud. The oriented points in a region vote for its sign, and couplings between regions
+carry it to regions that hold no oriented point.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.orientation.agreement import Surface, couplings, patches, relax, revote
+from jetnormal.orientation.agreement import Surface, couplings, regions, relax, revote
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -78,16 +78,16 @@ def carry_signs(points: Floats, normals: Floats, thinned: Thinned) -> tuple[Bool
         flips[rows], sure[rows] = told < 0, np.abs(told)
         return flips, sure
     surface = Surface(points[rows] - np.median(points[rows], axis=0), normals[rows].copy())
-    turned, patch = patches(surface)
+    turned, region = regions(surface)
     surface.turn(turned)
     told[turned] *= -1
-    count = int(patch.max()) + 1
-    coupling = couplings(surface, patch, np.zeros(len(rows), dtype=np.bool_))
-    votes: Floats = np.bincount(patch, told, count).astype(np.float64)
+    count = int(region.max()) + 1
+    coupling = couplings(surface, region, np.zeros(len(rows), dtype=np.bool_))
+    votes: Floats = np.bincount(region, told, count).astype(np.float64)
     total, strength = float(np.abs(votes).sum()), float(abs(coupling).sum()) / 2
     belief = relax(coupling, votes * (TOLD * strength / total if total > 0 and strength > 0 else 1))
-    surface.turn((belief < 0)[patch])
-    agreed = revote(surface) * np.abs(belief)[patch]
-    sure[rows] = 0.5 + (np.bincount(patch, right, count) / np.bincount(patch) - 0.5)[patch] * agreed
+    surface.turn((belief < 0)[region])
+    agreed = revote(surface) * np.abs(belief)[region]
+    sure[rows] = 0.5 + (np.bincount(region, right, count) / np.bincount(region) - 0.5)[region] * agreed
     flips[rows] = np.einsum("nd,nd->n", surface.normals, normals[rows]) < 0
     return flips, sure

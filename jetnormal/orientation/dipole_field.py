@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.orientation.agreement import Surface, chunks
-from jetnormal.orientation.kernels import add_dipoles, read_grid
+from jetnormal.orientation.kernels.fields import add_dipoles, read_grid
 from jetnormal.support.device import available_cores
 
 Floats = NDArray[np.float64]

@@ -33,7 +33,7 @@ class Orientation:
     Attributes:
         normals: (N, 3) of the dtype that came in.
         confidence: (N,) float32 in [0.5, 1], how probably each sign is right (`calibration`): by the agreement of
-            neighbors, patches and views; for "viewpoint" and "up", by the cosine between the normal and the sight
+            neighbors, regions and views; for "viewpoint" and "up", by the cosine between the normal and the sight
             line; 0 where no sign was chosen.
         open: (N,) whether a point was found on a surface that has no outside.
         view: the side from which the open surfaces were seen, found by "view"; None if there is none.

@@ -1,6 +1,6 @@
 """The method "global": normals look outward, out of the solid.
 
-1. Neighbors that surely agree are joined to patches (`agreement.patches`); patches that touch are coupled.
+1. Neighbors that surely agree are joined to regions (`agreement.regions`); regions that touch are coupled.
 2. Each connected component is looked at from all around (`visibility.look`): whoever sees a closed surface stands
    outside of it. A component whose two sides are both seen, alone and among the others, is open: it has no outside.
 3. Signs follow from couplings and votes by one linear system. Couplings that agree with each other count far more than
@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.orientation.agreement import Surface, patch_forest, relax, revote, spread_signs
+from jetnormal.orientation.agreement import Surface, region_forest, relax, revote, spread_signs
 from jetnormal.orientation.dipole_field import contradicted
-from jetnormal.orientation.kernels import solid_angles
+from jetnormal.orientation.kernels.fields import solid_angles
 from jetnormal.orientation.parts import Parts, divide
 from jetnormal.orientation.single_view import Outcome, View, as_seen
 from jetnormal.orientation.visibility import VIEWS, Votes, look
@@ -34,7 +34,7 @@ Bools = NDArray[np.bool_]
 
 FULL_VOTE = VIEWS / 4  # of a point that all views see from outside
 MIN_SEEN = 0.04  # of the full votes, for a component; less comes through holes between points
-OPEN_PURITY = 0.5  # |sum| over sum of a patch's votes: nearly 1 on closed surfaces, 0.3 on a hemisphere
+OPEN_PURITY = 0.5  # |sum| over sum of a region's votes: nearly 1 on closed surfaces, 0.3 on a hemisphere
 # Votes over couplings, if all agree. Couplings that do not contradict each other are hardly ever wrong, while a third
 # of the votes are where scanners left holes: then votes only say which of the two solutions is outward. Where
 # couplings do contradict each other, or noise hides which side of a thin part a point is on, both count alike.
@@ -44,8 +44,8 @@ DROWNED = 0.25  # roughness over spacing
 LEVEL = 0.3  # cosine to the vertical; what is steeper is a wall
 STRAY_RADII = 1.5  # neighborhood radius, over the mean of the neighbors'
 PLACES, SOURCES = 16, 4096  # points of a component that tell whether it is inside, and that tell it of others
-# The votes for up of a patch count up to as many sure edges as lie along its side. In a smooth sheet, several times
-# that many join two patches; in the noisy crease between a wall and the ground, fewer.
+# The votes for up of a region count up to as many sure edges as lie along its side. In a smooth sheet, several times
+# that many join two regions; in the noisy crease between a wall and the ground, fewer.
 MAX_UPRIGHT = 30.0
 
 
@@ -81,9 +81,9 @@ def turn_up(surface: Surface) -> Outcome:
 
 
 def _finished(surface: Surface, parts: Parts, belief: Floats, is_open: Bools, view: View | None = None) -> Outcome:
-    """Turn patches by their signs (M,), then single points in them that are wrong."""
-    surface.turn((belief < 0)[parts.patch])
-    sure = revote(surface) * np.abs(belief)[parts.patch]
+    """Turn regions by their signs (M,), then single points in them that are wrong."""
+    surface.turn((belief < 0)[parts.region])
+    sure = revote(surface) * np.abs(belief)[parts.region]
     flips, strength = contradicted(surface, np.where(parts.speck, -1, np.arange(len(parts.speck)))[parts.component])
     surface.turn(flips)
     sure *= strength
@@ -96,7 +96,7 @@ def _vote(surface: Surface, parts: Parts) -> tuple[Votes, Bools]:
     """Look at each component alone and, where both its sides are seen, among the others.
 
     Returns:
-        The votes of the patches (M,), and which components (C,) are open.
+        The votes of the regions (M,), and which components (C,) are open.
     """
     votes = _sum(look(surface, parts.component, alone=True), parts)
     is_open = ~parts.speck & (_purity(votes, parts) < OPEN_PURITY)
@@ -112,19 +112,19 @@ def _vote(surface: Surface, parts: Parts) -> tuple[Votes, Bools]:
 
 
 def _sum(votes: Votes, parts: Parts) -> Votes:
-    return Votes(parts.by_patch(votes.outward), parts.by_patch(votes.total), parts.by_patch(votes.upward))
+    return Votes(parts.by_region(votes.outward), parts.by_region(votes.total), parts.by_region(votes.upward))
 
 
 def _purity(votes: Votes, parts: Parts) -> Floats:
-    """How far the views that see a patch lie on one side of it (0 to 1), by component (C,)."""
+    """How far the views that see a region lie on one side of it (0 to 1), by component (C,)."""
     total = parts.by_component(votes.total)
     return parts.by_component(np.abs(votes.outward)) / np.where(total > 0, total, 1)
 
 
 def _weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Floats:
-    """Find signs of patches (M,), -1 to 1, from couplings and votes; where noise hides these, from winding numbers.
+    """Find signs of regions (M,), -1 to 1, from couplings and votes; where noise hides these, from winding numbers.
 
-    A patch with votes for both sides counts little.
+    A region with votes for both sides counts little.
     """
     strength = np.asarray(abs(parts.coupling).sum(axis=1)).ravel()
     total = parts.by_component(votes.total)
@@ -134,13 +134,13 @@ def _weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Floa
     belief = relax(parts.coupling, SURE_WEIGHT * told)
     signs = np.where(belief < 0, -1.0, 1.0)
     denied = parts.by_component((strength - signs * (parts.coupling @ signs)) / 2)
-    drowned = 2 * parts.by_component(parts.by_patch(surface.roughness > DROWNED * surface.spacing)) > parts.sizes
+    drowned = 2 * parts.by_component(parts.by_region(surface.roughness > DROWNED * surface.spacing)) > parts.sizes
     doubtful = (denied > CONTRADICTION * parts.by_component(strength)) | drowned
     told *= np.where(doubtful, DOUBTFUL_WEIGHT, SURE_WEIGHT)[parts.owner]
     belief = relax(parts.coupling, told)
     for c in np.flatnonzero(drowned & ~is_open & ~parts.speck):
         mine, rows = np.flatnonzero(parts.owner == c), np.flatnonzero(parts.component == c)
-        region, coupling = np.searchsorted(mine, parts.patch[rows]), parts.coupling[mine][:, mine]
+        region, coupling = np.searchsorted(mine, parts.region[rows]), parts.coupling[mine][:, mine]
         belief[mine] = settle_by_winding(surface, rows, region, coupling, told[mine], belief[mine])
     return belief
 
@@ -156,7 +156,7 @@ def _in_matter(surface: Surface, parts: Parts, belief: Floats, is_open: Bools) -
     low = np.minimum.reduceat(surface.points[order], starts)
     high = np.maximum.reduceat(surface.points[order], starts)
     candidates = candidates[np.argsort(-np.linalg.norm(high - low, axis=1)[candidates], kind="stable")]
-    sign = np.where(belief < 0, -1, 1)[parts.patch]
+    sign = np.where(belief < 0, -1, 1)[parts.region]
     for rank, c in enumerate(candidates):
         larger = candidates[:rank]
         around = larger[((low[larger] <= low[c]) & (high[larger] >= high[c])).all(axis=1)]
@@ -177,7 +177,7 @@ def _some(order: Ints, starts: Ints, sizes: Ints, component: int, count: int) ->
 
 
 def _upright(votes: Votes, parts: Parts) -> Floats:
-    """Find signs of patches (M,), -1 to 1, by what is seen from above.
+    """Find signs of regions (M,), -1 to 1, by what is seen from above.
 
     Links and votes for up form one spanning tree, so the clearest part of a sheet decides for all of it. By a mean of
     all votes, the signs would change where it overhangs.
@@ -187,7 +187,7 @@ def _upright(votes: Votes, parts: Parts) -> Floats:
     told = np.clip(votes.upward / FULL_VOTE, -MAX_UPRIGHT, MAX_UPRIGHT)
     coupling = parts.coupling
     column = csr_matrix(told)
-    flips, _ = spread_signs(patch_forest(bmat([[coupling, column.T], [column, None]], format="csr")))
+    flips, _ = spread_signs(region_forest(bmat([[coupling, column.T], [column, None]], format="csr")))
     signs = np.where(flips[:-1] ^ flips[-1], -1.0, 1.0)
     support = signs * (coupling @ signs + told)
     total = np.asarray(abs(coupling).sum(axis=1)).ravel() + np.abs(told)

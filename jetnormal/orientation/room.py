@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex, distinct
 from jetnormal.orientation.agreement import Surface
-from jetnormal.orientation.kernels import solid_angles
+from jetnormal.orientation.kernels.fields import solid_angles
 from jetnormal.orientation.visibility import look
 
 Floats = NDArray[np.float64]

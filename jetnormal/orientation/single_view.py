@@ -6,7 +6,7 @@ surface recedes from the sensor at its borders: the neighbors of a border point 
 thing hides another does the hidden surface end anywhere.
 
 1. The axis: the direction that as much of the consistently signed surface as possible faces.
-2. All patches are turned to face along the axis (`agreement.relax` weighs that and their couplings).
+2. All regions are turned to face along the axis (`agreement.relax` weighs that and their couplings).
 3. The borders tell whether the axis points to the sensor or away from it.
 """
 
@@ -40,7 +40,7 @@ class View:
     """A surface as it may have been seen from one side.
 
     Attributes:
-        belief: (M,) signs of the patches, -1 to 1, that show them to the sensor.
+        belief: (M,) signs of the regions, -1 to 1, that show them to the sensor.
         facing: the share of the area that then faces the sensor, 0 to 1.
         lean: how far the surface recedes from the sensor at its borders, 0 (not at all) to 1.
         borders: how many points lie at borders.
@@ -81,22 +81,22 @@ def as_seen(surface: Surface, parts: Parts, among: Bools) -> View:
     """Find the side of an open surface that one sensor saw.
 
     Args:
-        surface: N points; normals are consistent in every patch.
-        parts: its M patches.
+        surface: N points; normals are consistent in every region.
+        parts: its M regions.
         among: (N,) which points are on it; the others are objects of their own.
     """
     area = surface.spacing**2 * among
     axis = _largest_side(surface, parts, area)
     for _ in range(ROUNDS):
         belief = _facing(surface, parts, area, axis)
-        signs = np.where(belief < 0, -1.0, 1.0)[parts.patch]
+        signs = np.where(belief < 0, -1.0, 1.0)[parts.region]
         along = signs * _along(surface.normals, axis)
         weight = signs * area * np.where(along < LEAST_COSINE, AVERTED_WEIGHT, 1)
         before, axis = axis, _unit((surface.normals * weight[:, None]).sum(axis=0))
         if float((axis * before).sum()) > 0.9999:
             break
     belief = _facing(surface, parts, area, axis)
-    along = np.where(belief < 0, -1.0, 1.0)[parts.patch] * _along(surface.normals, axis)
+    along = np.where(belief < 0, -1.0, 1.0)[parts.region] * _along(surface.normals, axis)
     lean, borders = _lean(surface, axis, among)
     return View(belief if lean >= 0 else -belief, float(area[along > 0].sum() / area.sum()), abs(lean), borders)
 
@@ -104,14 +104,14 @@ def as_seen(surface: Surface, parts: Parts, among: Bools) -> View:
 def _largest_side(surface: Surface, parts: Parts, area: Floats) -> Floats:
     """The mean direction (3,) of the largest component, with consistent signs."""
     start = np.array([0.48, 0.36, 0.8])  # any direction will do; this one is along no axis of a drawing
-    signs = np.where(_facing(surface, parts, area, start, 1e-3) < 0, -1.0, 1.0)[parts.patch]
+    signs = np.where(_facing(surface, parts, area, start, 1e-3) < 0, -1.0, 1.0)[parts.region]
     largest = parts.component == np.argmax(np.bincount(parts.component, area))
     return _unit((surface.normals * (signs * area * largest)[:, None]).sum(axis=0))
 
 
 def _facing(surface: Surface, parts: Parts, area: Floats, axis: Floats, weight: float = AXIS_WEIGHT) -> Floats:
-    """Signs of patches (M,), -1 to 1, with which they face an axis."""
-    return relax(parts.coupling, weight * parts.by_patch(area * _along(surface.normals, axis)) / area.mean())
+    """Signs of regions (M,), -1 to 1, with which they face an axis."""
+    return relax(parts.coupling, weight * parts.by_region(area * _along(surface.normals, axis)) / area.mean())
 
 
 def _lean(surface: Surface, axis: Floats, among: Bools) -> tuple[float, int]:

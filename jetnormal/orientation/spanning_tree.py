@@ -1,7 +1,7 @@
 """The method "mst": signs that are consistent along a spanning tree, corrected by the edges outside of the tree.
 
-Hoppe et al., "Surface reconstruction from unorganized points" (1992), with patches instead of points: the coupling of
-two patches is a sum over all edges between them, whose sign a single wrong edge hardly changes. Then branches that
+Hoppe et al., "Surface reconstruction from unorganized points" (1992), with regions instead of points: the coupling of
+two regions is a sum over all edges between them, whose sign a single wrong edge hardly changes. Then branches that
 contradict the rest are flipped, and each component is turned so that it looks outward at its extreme points.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.orientation.agreement import Forest, Surface, patch_forest, revote, rooted, spread_signs
+from jetnormal.orientation.agreement import Forest, Surface, region_forest, revote, rooted, spread_signs
 from jetnormal.orientation.parts import divide
 from jetnormal.orientation.single_view import Outcome
 from jetnormal.orientation.visibility import extremes_look_inward
@@ -26,14 +26,14 @@ OUTLIER_RADIUS = 5.0  # neighborhood radius, over the median of all
 
 
 def grow_tree(surface: Surface) -> Outcome:
-    """Turn normals consistently along a spanning tree of patches; nothing is known to be open."""
+    """Turn normals consistently along a spanning tree of regions; nothing is known to be open."""
     flips, parts = divide(surface)
     surface.turn(flips)
-    forest = patch_forest(parts.coupling)
+    forest = region_forest(parts.coupling)
     flips, tree = spread_signs(forest)
-    surface.turn(mend(forest, parts.coupling, flips)[parts.patch])
+    surface.turn(mend(forest, parts.coupling, flips)[parts.region])
     sure = revote(surface)
-    component = tree[parts.patch]
+    component = tree[parts.region]
     stray = surface.radius > OUTLIER_RADIUS * np.median(surface.radius)
     crowd = np.bincount(component, ~stray)
     stray &= crowd[component] > 0

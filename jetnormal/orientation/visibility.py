@@ -1,6 +1,6 @@
 """Visibility of a surface from far away: whoever sees a closed surface stands outside of it.
 
-The votes of patches for the side that infinity sees are those of Takayama et al., "A simple method for correcting facet
+The votes of regions for the side that infinity sees are those of Takayama et al., "A simple method for correcting facet
 orientations in polygon meshes based on ray casting" (2014), with orthographic depth maps instead of rays. What is
 visible from a near place is found as in Katz et al., "Direct visibility of point sets" (2007).
 """
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.orientation.agreement import Surface
-from jetnormal.orientation.kernels import see
+from jetnormal.orientation.kernels.views import see
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

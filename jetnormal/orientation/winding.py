@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from jetnormal.orientation.agreement import LeastSquares, Surface, relax
-from jetnormal.orientation.kernels import add_windings
+from jetnormal.orientation.kernels.fields import add_windings
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""Edges tell whether neighbors agree; what surely agrees forms patches."""
+"""Edges tell whether neighbors agree; what surely agrees forms regions."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_matrix
 
-from jetnormal.orientation.agreement import PATCH_POINTS, Surface, couplings, patches, relax, revote
+from jetnormal.orientation.agreement import REGION_POINTS, Surface, couplings, regions, relax, revote
 
 
 def scrambled(normals, seed=0):
@@ -49,24 +49,24 @@ def test_noise_turns_the_mirror_test_into_a_comparison_of_directions():
     assert (noisy.edges > 0).mean() > 0.99
 
 
-def test_patches_are_consistent_and_of_bounded_size():
+def test_regions_are_consistent_and_of_bounded_size():
     points, normals = plate(np.random.default_rng(3), 0.05)
     surface = Surface(points, scrambled(normals))
-    flips, patch = patches(surface)
+    flips, region = regions(surface)
     surface.turn(flips)
     sign = np.sign((surface.normals * normals).sum(axis=1))
-    size = np.bincount(patch)
-    np.testing.assert_array_equal(np.abs(np.bincount(patch, sign)), size)
-    assert size.max() <= PATCH_POINTS and len(size) < 80
+    size = np.bincount(region)
+    np.testing.assert_array_equal(np.abs(np.bincount(region, sign)), size)
+    assert size.max() <= REGION_POINTS and len(size) < 80
 
 
 def test_couplings_join_what_touches_and_know_which_sides_agree():
     points, normals = plate(np.random.default_rng(4), 0.05)
     surface = Surface(points, scrambled(normals))
-    flips, patch = patches(surface)
-    coupling = couplings(surface, patch, flips)
+    flips, region = regions(surface)
+    coupling = couplings(surface, region, flips)
     surface.turn(flips)
-    sign = np.sign(np.bincount(patch, (surface.normals * normals).sum(axis=1)))
+    sign = np.sign(np.bincount(region, (surface.normals * normals).sum(axis=1)))
     agreed = coupling.tocoo()
     assert agreed.nnz and (agreed.data * sign[agreed.row] * sign[agreed.col] > 0).all()
     assert abs(coupling - coupling.T).max() < 1e-12

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_matrix
 
-from jetnormal.orientation.agreement import patch_forest, spread_signs
+from jetnormal.orientation.agreement import region_forest, spread_signs
 from jetnormal.orientation.spanning_tree import mend
 
 SIDE = 12
@@ -33,7 +33,7 @@ def consistent(flips, signs) -> float:
 def test_branches_behind_wrong_edges_are_turned(wrong):
     signs = np.random.default_rng(1).choice([-1, 1], SIDE**2)
     coupling = grid(signs, [(node, node + 1) for node in wrong])
-    forest = patch_forest(coupling)
+    forest = region_forest(coupling)
     flips, _ = spread_signs(forest)
     assert consistent(flips, signs) < 0.8
     assert consistent(mend(forest, coupling, flips), signs) == 1
@@ -45,7 +45,7 @@ def test_what_is_consistent_stays_and_trees_do_not_mix():
     coupling[:60, 60:], coupling[60:, :60] = 0, 0  # two trees
     coupling = coupling.tocsr()
     coupling.eliminate_zeros()
-    forest = patch_forest(coupling)
+    forest = region_forest(coupling)
     flips, tree = spread_signs(forest)
     assert len(np.unique(tree)) == 2
     np.testing.assert_array_equal(mend(forest, coupling, flips), flips)
@@ -53,5 +53,5 @@ def test_what_is_consistent_stays_and_trees_do_not_mix():
 
 def test_a_single_node_has_no_branches():
     coupling = coo_matrix((1, 1)).tocsr()
-    forest = patch_forest(coupling)
+    forest = region_forest(coupling)
     assert mend(forest, coupling, np.array([True])).tolist() == [True]

@@ -24,7 +24,7 @@ from jetnormal.orientation.sensors import Sensors
 
 Floats = NDArray[np.float64]
 
-SIGN_REACH = 20.0  # of patches of neighbors that agree, see `estimators.base.Estimator.reach`
+SIGN_REACH = 20.0  # of regions of neighbors that agree, see `estimators.base.Estimator.reach`
 CANDIDATES = 50_000  # points of a tile, at least, that may go into the thinned cloud
 SPACING_NEIGHBORS = 8
 
