@@ -53,15 +53,30 @@ def _principal(m: NDArray[np.float64], values: NDArray[np.float64], normal: NDAr
             normal[0], normal[1], normal[2] = x / length, y / length, z / length
 
 
-@compiled
 def moments_of(points: NDArray[np.float64], others: NDArray[np.float64], neighbors: NDArray[np.int32]) -> Moments:
     """Scale, normal, variances and centroid of each point's neighborhood among others, the point itself included."""
-    count, k = neighbors.shape
-    scale, centroid = np.empty(count, np.float32), np.empty((count, 3), np.float32)
-    normals, variance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    mean, values, normal = np.empty(3), np.empty(3), np.empty(3)
-    covariance = np.empty((3, 3))
-    for i in range(count):
+    count = len(points)
+    scale, normals = np.empty(count, np.float32), np.empty((count, 3), np.float32)
+    variance, centroid = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    _moments(points, others, neighbors, np.empty((6, 3)), scale, normals, variance, centroid)
+    return scale, normals, variance, centroid
+
+
+@compiled
+def _moments(
+    points: NDArray[np.float64],
+    others: NDArray[np.float64],
+    neighbors: NDArray[np.int32],
+    work: NDArray[np.float64],
+    scale: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    centroid: NDArray[np.float32],
+) -> None:
+    """`moments_of` into arrays; work is (6, 3)."""
+    k = neighbors.shape[1]
+    mean, values, normal, covariance = work[0], work[1], work[2], work[3:]
+    for i in range(len(points)):
         mean[:] = 0
         covariance[:] = 0
         for j in neighbors[i]:
@@ -83,4 +98,3 @@ def moments_of(points: NDArray[np.float64], others: NDArray[np.float64], neighbo
         for a in range(3):
             normals[i, a] = normal[a]
             variance[i, a] = max(values[a], 0.0) / total
-    return scale, normals, variance, centroid

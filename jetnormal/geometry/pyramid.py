@@ -105,9 +105,12 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
             scale = np.maximum(scale, LEAST_GROWTH * pyramid[-1].scale[pyramid[-1].chosen])
         last = number == levels - 1
         rank = np.argsort(_priority(distances), kind="stable")
-        keep = np.zeros(len(points), dtype=np.bool_) if last else _spread_out(neighbors[:, :SPACING], rank)
+        keep = np.zeros(len(points), dtype=np.bool_)
+        if not last:
+            _spread_out(neighbors, SPACING, rank, keep)
         chosen = np.flatnonzero(keep)
-        parents = _parents(neighbors, keep)
+        parents = np.zeros((len(keep), PARENTS), np.int32)
+        _find_parents(neighbors, keep, np.cumsum(keep, dtype=np.int32), parents)
         pyramid.append(Level(points, neighbors, scale, normals, variance, centroid, chosen, parents))
         if not last:
             nearest = points[neighbors[chosen, :AVERAGED]]
@@ -137,7 +140,8 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
         if len(kept) < LEAST_EVEN or not len(crowded):
             break
         order = crowded[np.argsort(_priority(distances[crowded]), kind="stable")]
-        keep = _apart(neighbors, distances, reach, order)
+        keep = np.ones(len(kept), dtype=np.bool_)
+        _leave_out(neighbors, distances, reach, order, keep)
         kept = kept[keep]
         neighbors, distances, stale = _without(points[kept], keep, neighbors, distances, threads)
         renewed = moments_of(points[kept[stale]], points[kept], neighbors[stale])
@@ -149,12 +153,16 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
 
 
 @compiled
-def _apart(
-    neighbors: NDArray[np.int32], distances: NDArray[np.float64], reach: NDArray[np.float64], order: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Take all other points, and those of this order each unless a neighbor within its reach was taken before."""
-    taken = np.ones(len(neighbors), np.bool_)
-    taken[order] = False
+def _leave_out(
+    neighbors: NDArray[np.int32],
+    distances: NDArray[np.float64],
+    reach: NDArray[np.float64],
+    order: NDArray[np.int64],
+    taken: NDArray[np.bool_],
+) -> None:
+    """Leave out points of this order of all that are taken: each that has a neighbor within its reach which stays."""
+    for i in order:
+        taken[i] = False
     for i in order:
         free = True
         for k in range(neighbors.shape[1]):
@@ -162,7 +170,6 @@ def _apart(
                 break
             free = free and not taken[neighbors[i, k]]
         taken[i] = free
-    return taken
 
 
 def _without(
@@ -217,7 +224,7 @@ def _others_of(
             return np.zeros((1, NEIGHBORS), np.int32), np.zeros((1, NEIGHBORS))
         neighbors = np.concatenate([neighbors, np.repeat(neighbors[:, -1:], missing, axis=1)], axis=1)
         distances = np.concatenate([distances, np.repeat(distances[:, -1:], missing, axis=1)], axis=1)
-    return np.ascontiguousarray(neighbors), distances
+    return np.ascontiguousarray(neighbors), np.ascontiguousarray(distances)
 
 
 def _priority(distances: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -228,31 +235,31 @@ def _priority(distances: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @compiled
-def _spread_out(neighbors: NDArray[np.int32], order: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Take the points in this order, each unless one of its neighbors was taken before."""
-    taken = np.zeros(len(order), np.bool_)
+def _spread_out(neighbors: NDArray[np.int32], spacing: int, order: NDArray[np.int64], taken: NDArray[np.bool_]) -> None:
+    """Take the points in this order, each unless one of its nearest neighbors, so many, was taken before."""
     for i in order:
         free = True
-        for j in neighbors[i]:
-            free = free and not taken[j]
+        for k in range(min(spacing, neighbors.shape[1])):
+            free = free and not taken[neighbors[i, k]]
         taken[i] = free
-    return taken
 
 
 @compiled
-def _parents(neighbors: NDArray[np.int32], keep: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """(n, 4) numbers among the kept points of those that are the point itself or its nearest neighbors."""
-    number = np.cumsum(keep).astype(np.int32) - np.int32(1)
-    parents = np.zeros((len(keep), PARENTS), np.int32)
+def _find_parents(
+    neighbors: NDArray[np.int32], keep: NDArray[np.bool_], count: NDArray[np.int32], parents: NDArray[np.int32]
+) -> None:
+    """Write the numbers, among the kept points, of those that are each point itself or its nearest neighbors.
+
+    count (n,): how many of the points up to each are kept. parents (n, 4): zeros at first.
+    """
     for i in range(len(keep)):
-        count = 0
+        found = 0
         if keep[i]:
-            parents[i, 0] = number[i]
-            count = 1
+            parents[i, 0] = count[i] - 1
+            found = 1
         for j in neighbors[i]:
-            if count < PARENTS and keep[j]:
-                parents[i, count] = number[j]
-                count += 1
-        for column in range(max(count, 1), PARENTS):
+            if found < PARENTS and keep[j]:
+                parents[i, found] = count[j] - 1
+                found += 1
+        for column in range(max(found, 1), PARENTS):
             parents[i, column] = parents[i, column - 1]
-    return parents

@@ -159,12 +159,11 @@ def regions(surface: Surface) -> tuple[Bools, Ints]:
     Returns:
         Which normals (N,) to flip so that they are consistent in every region, and each point's region (N,).
     """
-    edges = np.empty(0, np.uint32 if surface.edges.size < 2**32 else np.int64)
     points, radius, neighbors = surface.points, surface.radius, surface.neighbors
-    order = surest_first(points, surface.edges, radius, neighbors, REGION_AGREEMENT, LENGTH_WEIGHT, BUCKETS, edges)
+    order = surest_first(points, surface.edges, radius, neighbors, REGION_AGREEMENT, LENGTH_WEIGHT, BUCKETS)
     root = np.arange(len(points))
     flips = np.zeros(len(root), dtype=np.bool_)
-    join_edges(order, neighbors, surface.edges, REGION_POINTS, root, flips)
+    join_edges(order, neighbors, surface.edges, REGION_POINTS, np.ones_like(root), root, flips)
     return flips, np.unique(root, return_inverse=True)[1]
 
 

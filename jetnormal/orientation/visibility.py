@@ -71,6 +71,7 @@ def look(surface: Surface, component: Ints, *, alone: bool) -> Votes:
     lowest, highest = lowest - lowest.min(), highest - lowest.min()
     size = 1 << int(SPARE_PIXELS * max(1, hides.sum())).bit_length()
     key, top, bottom = np.zeros(size, dtype=np.uint64), np.empty(size), np.empty(size)
+    depth, row, column = np.empty(len(level)), np.empty_like(level), np.empty_like(level)
     votes = np.zeros((len(level), 3))
     limit = FARTHEST * unit * PIXEL_SPACINGS
     is_far = max(surface.points.max(), -surface.points.min()) > limit
@@ -78,7 +79,7 @@ def look(surface: Surface, component: Ints, *, alone: bool) -> Votes:
     for up in directions()[: VIEWS // 2]:
         see(
             points, surface.normals, _axes(up), PIXEL_SPACINGS * unit, MIN_COSINE, surface.roughness, SLACK,
-            level, hides, label, lowest, highest, key, top, bottom, votes,
+            level, hides, label, lowest, highest, key, top, bottom, depth, row, column, votes,
         )  # fmt: skip
     return Votes(*votes.T)
 

@@ -7,6 +7,8 @@ Weingarten map; on a sphere the equation is exact at any distance).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,13 +19,12 @@ SAME_SHEET = 0.5  # cosine between two normals, below which an edge or another s
 
 
 @compiled
-def tangents(n: F32, first: F64, second: F64) -> None:
+def _tangents(n: F32) -> Any:
     """Two unit vectors (3,) that make a right-handed frame with n (Duff et al., 2017)."""
     sign = -1.0 if n[2] < 0 else 1.0
     a = -1.0 / (sign + n[2])
     b = n[0] * n[1] * a
-    first[0], first[1], first[2] = 1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]
-    second[0], second[1], second[2] = b, sign + n[1] * n[1] * a, -n[1]
+    return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -np.float64(n[1]))
 
 
 @compiled
@@ -34,9 +35,8 @@ def add_equations(x: F64, n: F32, at: NDArray[np.int64], xj: F64, nj: F32, nbr: 
     points xj (m, 3) with normals nj (m, 3). sums (N, 6) holds sum xx, xy, yy of the offsets (x, y) in the tangent
     plane, and sum x u, x v + y u, y v of the turns (u, v) of the normal.
     """
-    first, second = np.empty(3), np.empty(3)
     for i in range(len(x)):
-        tangents(n[i], first, second)
+        first, second = _tangents(n[i])
         for k in range(nbr.shape[1]):
             j = nbr[at[i], k]
             cosine = n[i, 0] * nj[j, 0] + n[i, 1] * nj[j, 1] + n[i, 2] * nj[j, 2]

@@ -42,17 +42,22 @@ def _value(p: F32, i: Any, u: F32, n: Any, e: Any, w: F32, c: Any) -> Any:
     )  # fmt: skip
 
 
-@compiled
 def edge_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, out: F32) -> None:
     """Pools the messages m_ij = relu(p[i] + u[nbr[i, j]] + q[i, j] @ w) of each i.
 
     p (N, C), u (M, C), nbr (N, k), q (N, k, 12), w (12, C). The first half of the channels of out (N, C) is the
     maximum over j, the second half is the mean.
     """
+    pool_messages(p, u, nbr, q, w, np.empty((2, p.shape[1]), np.float32), out)
+
+
+@compiled
+def pool_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, work: F32, out: F32) -> None:
+    """`edge_messages` with memory to work in, (2, C)."""
     size = p.shape[1]
     half = size // 2
     share = np.float32(1 / nbr.shape[1])
-    top, total = np.empty(size, np.float32), np.empty(size, np.float32)
+    top, total = work[0], work[1]
     for i in range(len(out)):
         for c in range(size):
             top[c] = 0
@@ -69,17 +74,26 @@ def edge_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, out: F32) -> None:
             out[i, c] = share * total[c]
 
 
-@compiled
 def edge_messages_backward(
     grad: F32, p: F32, u: F32, nbr: I32, q: F32, w: F32, grad_p: F32, grad_u: F32, grad_w: F32
 ) -> None:
     """Backpropagate grad (N, C) through `edge_messages`: add to the gradients of p, u, w; recompute the messages."""
     size = p.shape[1]
+    of_maxima, of_means = np.zeros((size // 2, 12), np.float32), np.zeros((12, size), np.float32)
+    work = np.empty((5, size), np.float32)
+    _messages_backward(grad, p, u, nbr, q, w, work, of_maxima, of_means, grad_p, grad_u, grad_w)
+
+
+@compiled
+def _messages_backward(
+    grad: F32, p: F32, u: F32, nbr: I32, q: F32, w: F32,
+    work: F32, of_maxima: F32, of_means: F32, grad_p: F32, grad_u: F32, grad_w: F32,
+) -> None:  # fmt: skip
+    """`edge_messages_backward` with memory to work in, (5, C), and sums that begin with 0, (C / 2, 12) and (12, C)."""
+    size = p.shape[1]
     half = size // 2
     share = np.float32(1 / nbr.shape[1])
-    top, best, back = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
-    each, slope = np.empty(size, np.float32), np.empty(size, np.float32)
-    of_maxima, of_means = np.zeros((half, 12), np.float32), np.zeros((12, size), np.float32)
+    top, best, back, each, slope = work[0], work[1], work[2], work[3], work[4]
     for i in range(len(grad)):
         for c in range(size):
             top[c] = 0
@@ -162,15 +176,28 @@ def layer_norm(x: F32, gain: F32, shift: F32) -> None:
             x[i, c] = (x[i, c] - mean) * inverse * gain[c] + shift[c]
 
 
-@compiled
 def edge_mlp_backward(
     grad: F32, p: F32, r: F32, nbr: I32, q: F32, w: F32, v: F32,
     grad_p: F32, grad_r: F32, grad_w: F32, grad_v: F32, grad_b: F32,
 ) -> None:  # fmt: skip
     """Backpropagate grad (N, k, 3) through `edge_mlp`: add to the gradients of p, r, w, v, b; recompute the values."""
     size = p.shape[1]
-    slope, back = np.empty(size, np.float32), np.empty(size, np.float32)
-    of_v, of_w = np.zeros((3, size), np.float32), np.zeros((12, size), np.float32)
+    work, of_v, of_w = (
+        np.empty((2, size), np.float32),
+        np.zeros((3, size), np.float32),
+        np.zeros((12, size), np.float32),
+    )
+    _mlp_backward(grad, p, r, nbr, q, w, v, work, of_v, of_w, grad_p, grad_r, grad_w, grad_v, grad_b)
+
+
+@compiled
+def _mlp_backward(
+    grad: F32, p: F32, r: F32, nbr: I32, q: F32, w: F32, v: F32,
+    work: F32, of_v: F32, of_w: F32, grad_p: F32, grad_r: F32, grad_w: F32, grad_v: F32, grad_b: F32,
+) -> None:  # fmt: skip
+    """`edge_mlp_backward` with memory to work in, (2, H), and two sums that begin with 0, (3, H) and (12, H)."""
+    size = p.shape[1]
+    slope, back = work[0], work[1]
     for i in range(nbr.shape[0]):
         for c in range(size):
             back[c] = 0

@@ -8,13 +8,17 @@ from numpy.typing import NDArray
 from jetnormal.support.compiled import compiled
 
 
-@compiled
 def farthest_points(points: NDArray[np.float32], kept: NDArray[np.int64]) -> None:
     """Fills kept (B, m), whose first column is given, with indices of points (B, n, 3)."""
+    _farthest_points(points, np.empty((4, points.shape[1]), np.float32), kept)
+
+
+@compiled
+def _farthest_points(points: NDArray[np.float32], work: NDArray[np.float32], kept: NDArray[np.int64]) -> None:
+    """`farthest_points` with memory to work in, (4, n)."""
     patches, count = kept.shape
     n = points.shape[1]
-    x, y, z = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-    distance = np.empty(n, np.float32)
+    x, y, z, distance = work[0], work[1], work[2], work[3]
     for b in range(patches):
         for i in range(n):
             x[i], y[i], z[i] = points[b, i, 0], points[b, i, 1], points[b, i, 2]
@@ -32,13 +36,17 @@ def farthest_points(points: NDArray[np.float32], kept: NDArray[np.int64]) -> Non
             kept[b, m] = farthest
 
 
-@compiled
 def smallest(scores: NDArray[np.float32], found: NDArray[np.int64]) -> None:
     """Fills found (R, k) with the columns of the k smallest of each row of scores (R, n), ascending; of equals, the
     first. This is faster than a general selection where k is much smaller than n."""
+    _smallest(scores, np.empty(found.shape[1], np.float32), found)
+
+
+@compiled
+def _smallest(scores: NDArray[np.float32], kept: NDArray[np.float32], found: NDArray[np.int64]) -> None:
+    """`smallest` with memory to work in, (k,)."""
     rows, k = found.shape
     n = scores.shape[1]
-    kept = np.empty(k, np.float32)
     for r in range(rows):
         count = 0
         for i in range(n):

@@ -16,10 +16,15 @@ Neighbors = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
 
-@compiled
-def third_smallest_height(points: Floats, normals: Floats, neighbors: Neighbors) -> Any:
+def third_smallest_height(points: Floats, normals: Floats, neighbors: Neighbors) -> Floats:
     """Find the third smallest height (N,) of the neighbors (N, k), k >= 3, over each point's tangent plane."""
     result = np.empty(len(points))
+    _third_smallest_height(points, normals, neighbors, result)
+    return result
+
+
+@compiled
+def _third_smallest_height(points: Floats, normals: Floats, neighbors: Neighbors, result: Floats) -> None:
     for i in range(len(points)):
         first, second, third = np.inf, np.inf, np.inf
         for j in neighbors[i]:
@@ -34,7 +39,6 @@ def third_smallest_height(points: Floats, normals: Floats, neighbors: Neighbors)
             elif height < third:
                 third = height
         result[i] = third
-    return result
 
 
 @compiled
@@ -81,32 +85,45 @@ def turn_all(flips: Bools, neighbors: Neighbors, normals: Floats, edges: Edges) 
                 edges[i, place] = -edges[i, place]
 
 
-@compiled
-def edge_votes(edges: Edges) -> Any:
+def edge_votes(edges: Edges) -> tuple[Floats, Floats]:
     """Sum the squares of the edges of each point, with their signs (N,) and without (N,)."""
     net, total = np.zeros(len(edges)), np.zeros(len(edges))
+    _add_votes(edges, net, total)
+    return net, total
+
+
+@compiled
+def _add_votes(edges: Edges, net: Floats, total: Floats) -> None:
     for i in range(len(edges)):
         for place in range(edges.shape[1]):
             edge = float(edges[i, place])
             net[i] += edge * abs(edge)
             total[i] += edge * edge
-    return net, total
 
 
-@compiled
 def surest_first(
-    points: Floats, edges: Edges, radius: Floats, neighbors: Neighbors, least: float, length_weight: float,
-    buckets: int, kind: NDArray[Any],
-) -> Any:  # fmt: skip
+    points: Floats, edges: Edges, radius: Floats, neighbors: Neighbors, least: float, length_weight: float, buckets: int
+) -> NDArray[Any]:
     """Find the order of the edges (N, k) of least agreement or more, as rows of the flat array, the surest first.
 
     An edge's doubt is 1 - |agreement|, plus `length_weight` times its length over the radii (N,) of its ends. Edges
-    whose doubts fall into the same one of the buckets keep their order. The rows are of the type of the array `kind`.
+    whose doubts fall into the same one of the buckets keep their order.
     """
+    bucket, filled = np.empty(edges.size, np.uint16), np.zeros(buckets + 1, np.int64)
+    _fill_buckets(points, edges, radius, neighbors, least, length_weight, bucket, filled)
+    order = np.empty(filled[:buckets].sum(), np.uint32 if edges.size < 2**32 else np.int64)
+    _sort_by_bucket(bucket, np.cumsum(filled) - filled, order)
+    return order
+
+
+@compiled
+def _fill_buckets(
+    points: Floats, edges: Edges, radius: Floats, neighbors: Neighbors, least: float, length_weight: float,
+    bucket: NDArray[np.uint16], filled: Ints,
+) -> None:  # fmt: skip
+    """Write the bucket of each edge, the last one for those that are left out, and how many each bucket has."""
+    count, buckets = edges.shape[1], len(filled) - 1
     scale = buckets / (1 - least + length_weight)
-    bucket = np.empty(edges.size, np.uint16)
-    start = np.zeros(buckets + 1, np.int64)
-    count = edges.shape[1]
     for i in range(len(edges)):
         for place in range(count):
             agreement = abs(float(edges[i, place]))
@@ -117,27 +134,28 @@ def surest_first(
             doubt = 1 - agreement + length_weight * length
             number = buckets if agreement < least else min(int(max(doubt, 0.0) * scale), buckets - 1)
             bucket[i * count + place] = number
-            start[number] += 1
-    total = 0
-    for number in range(buckets + 1):
-        start[number], total = total, total + start[number]
-    order = np.empty(start[buckets], kind.dtype)
-    for edge in range(len(bucket)):
-        if bucket[edge] < buckets:
-            order[start[bucket[edge]]] = edge
-            start[bucket[edge]] += 1
-    return order
+            filled[number] += 1
 
 
 @compiled
-def join_edges(order: NDArray[Any], neighbors: Neighbors, edges: Edges, largest: int, root: Ints, flips: Bools) -> None:
+def _sort_by_bucket(bucket: NDArray[np.uint16], start: Ints, order: NDArray[Any]) -> None:
+    """Write the edges of all buckets but the last, one bucket after the other; start says where each begins."""
+    for edge in range(len(bucket)):
+        if bucket[edge] < len(start) - 1:
+            order[start[bucket[edge]]] = edge
+            start[bucket[edge]] += 1
+
+
+@compiled
+def join_edges(
+    order: NDArray[Any], neighbors: Neighbors, edges: Edges, largest: int, size: Ints, root: Ints, flips: Bools
+) -> None:
     """Join the ends of edges to trees of at most `largest` points.
 
     order (E,): rows of the flat array of edges (N, k), which are negative where the signs of a point and its neighbor
-    (N, k) differ. root (N,): at first each point itself, at last the root of its tree; flips (N,), at first False:
-    whether a point's sign is opposite to its root's.
+    (N, k) differ. size (N,): at first 1. root (N,): at first each point itself, at last the root of its tree; flips
+    (N,), at first False: whether a point's sign is opposite to its root's.
     """
-    size = np.ones(len(root), np.int64)
     for number in range(len(order)):
         edge = np.int64(order[number])
         i, place = edge // neighbors.shape[1], edge % neighbors.shape[1]

@@ -24,17 +24,21 @@ def solid_angle(places: Floats, q: int, points: Floats, moments: Floats, softeni
     return flux / (squared * np.sqrt(squared))
 
 
-@compiled
-def solid_angles(places: Floats, points: Floats, moments: Floats, softening: Floats) -> Any:
+def solid_angles(places: Floats, points: Floats, moments: Floats, softening: Floats) -> Floats:
     """Find the winding number (Q,) at places (Q, 3) of oriented points (N, 3) with moments (N, 3): normals times areas.
 
     softening (N,) is added to each squared distance: a point is no nearer than the area it stands for is wide.
     """
     result = np.zeros(len(places))
+    _add_solid_angles(places, points, moments, softening, result)
+    return result / (4 * np.pi)
+
+
+@compiled
+def _add_solid_angles(places: Floats, points: Floats, moments: Floats, softening: Floats, result: Floats) -> None:
     for q in range(len(places)):
         for i in range(len(points)):
             result[q] += solid_angle(places, q, points, moments, softening, i)
-    return result / (4 * np.pi)
 
 
 @compiled
@@ -80,10 +84,15 @@ def add_dipoles(points: Floats, moments: Floats, corner: Floats, cell: float, gr
                         grid[x, y, z] += side * in_x * in_y * in_z
 
 
-@compiled
-def read_grid(places: Floats, corner: Floats, cell: float, grid: Any) -> Any:
-    """Interpolate a periodic grid (G, G, G), whose first place is at `corner`, at places (Q, 3)."""
+def read_grid(places: Floats, corner: Floats, cell: float, grid: Any) -> Floats:
+    """Interpolate a periodic grid (G, G, G), float32, whose first place is at `corner`, at places (Q, 3)."""
     result = np.zeros(len(places))
+    _add_grid(places, corner, cell, grid, result)
+    return result
+
+
+@compiled
+def _add_grid(places: Floats, corner: Floats, cell: float, grid: Any, result: Floats) -> None:
     for i in range(len(places)):
         across = grid_axis(places[i, 0], corner[0], cell, len(grid))
         along = grid_axis(places[i, 1], corner[1], cell, len(grid))
@@ -92,4 +101,3 @@ def read_grid(places: Floats, corner: Floats, cell: float, grid: Any) -> Any:
             for y, in_y in along:
                 for z, in_z in up:
                     result[i] += in_x * in_y * in_z * grid[x, y, z]
-    return result

@@ -29,7 +29,7 @@ def pixel_code(row: int, column: int, level: int, label: int) -> Any:
 def see(
     points: Floats, normals: Floats, axes: Floats, unit: float, least: float, slack: Floats, rough: float,
     level: Ints, hides: Bools, label: Ints, lowest: Ints, highest: Ints,
-    key: Any, top: Floats, bottom: Floats, votes: Floats,
+    key: Any, top: Floats, bottom: Floats, depth: Floats, row: Ints, column: Ints, votes: Floats,
 ) -> None:  # fmt: skip
     """Look at N points along one direction D and against it, and add to their votes.
 
@@ -48,11 +48,10 @@ def see(
         label: (N,) in [0, L): which points share pictures.
         lowest, highest: (L,) the levels of each label's pictures.
         key, top, bottom: (S,) uint64 and float64 tables, overwritten; S is a power of two, above the points that hide.
+        depth, row, column: (N,) overwritten.
         votes: (N, 3) sums of n.D and of |n.D| over the views that see a point, and of n.D over D alone.
     """
     mask = np.uint64(len(key) - 1)
-    depth = np.empty(len(points))
-    row, column = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
     key[:] = 0
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
