@@ -46,7 +46,8 @@ def encode_page(
         ResourceError: the scene is a mesh that must be simplified, and Open3D is not there.
     """
     shown = _counts(scene)
-    turn = camera_axes(view_direction(view, scene.points, scene.normals))
+    turn = camera_axes(view_direction(view, scene.points, scene.normals)) @ scene.turn
+    scene = scene.in_file_axes()  # normals are colored by them
     scene = _subsampled(scene, max_points) if scene.faces is None else _simplified(scene, max_faces)
     radius = max(float(np.linalg.norm(scene.points, axis=1).max()), 1e-12)
     parts = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ class Scene:
         coloring: what the colors are: "normals", "file", "confidence" or "plain".
         own: (N, 3) colors of the file, or None.
         confidence: (N,) from 0 to 1, or None.
+        turn: (3, 3) the rotation that brought points and normals from the file's axes to these.
     """
 
     points: Floats
@@ -44,6 +45,7 @@ class Scene:
     coloring: str = "plain"
     own: Floats | None = None
     confidence: Floats | None = None
+    turn: Floats = field(default_factory=lambda: np.eye(3))
 
     def turned_up(self, up: Floats) -> Scene:
         """The scene, turned by the smallest rotation that brings direction `up` (3,) to z; colors stay."""
@@ -52,8 +54,12 @@ class Scene:
         axis = np.cross(up, [0.0, 0.0, 1.0])
         length = float(np.linalg.norm(axis))
         axis = axis / length if length else np.array([1.0, 0.0, 0.0])
-        turn = Rotation.from_rotvec(np.arctan2(length, up[2]) * axis)
-        return replace(self, points=turn.apply(self.points), normals=turn.apply(self.normals))
+        turn = Rotation.from_rotvec(np.arctan2(length, up[2]) * axis).as_matrix()
+        return replace(self, points=self.points @ turn.T, normals=self.normals @ turn.T, turn=turn @ self.turn)
+
+    def in_file_axes(self) -> Scene:
+        """The scene as it was before it was turned."""
+        return replace(self, points=self.points @ self.turn, normals=self.normals @ self.turn, turn=np.eye(3))
 
     @property
     def radius(self) -> float:

@@ -48,6 +48,15 @@ def test_the_page_holds_the_points():
     assert meta["colorings"] == ["normals", "plain"] and meta["coloring"] == "normals"
 
 
+def test_up_turns_the_view_and_not_the_normals_that_the_page_colors_by():
+    upright = cloud_scene(ball(100))
+    turned = upright.turned_up(np.array([1.0, 2.0, -3.0]))
+    (plain, places), (meta, data) = (content(encode_page(one, "cloud", "front", "white")) for one in (upright, turned))
+    assert np.abs(np.frombuffer(data, "i1", 200, 600) - np.frombuffer(places, "i1", 200, 600).astype(int)).max() <= 1
+    axes = np.reshape(meta["turn"], (3, 3))
+    assert np.allclose(upright.points @ axes.T, turned.points @ np.reshape(plain["turn"], (3, 3)).T)
+
+
 def test_the_page_holds_the_file_s_colors_and_its_confidence_whatever_is_shown_first():
     cloud = sphere(50)
     colors = dict(zip(("red", "green", "blue"), np.tile(np.uint8([[10], [20], [30]]), 50), strict=True))
