@@ -1,4 +1,7 @@
-"""Take pages into the site that have their place elsewhere in the repository: model cards, CONTRIBUTING, CHANGELOG."""
+"""Take pages into the site that have their place elsewhere in the repository: model cards, CONTRIBUTING, CHANGELOG.
+
+Pages in `docs` link to them as `../models/cloudfit.md`, which a forge and an editor follow; the site has no folder above.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,11 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 PATTERNS = ("CHANGELOG.md", "CONTRIBUTING.md", "models/[!R]*.md", "models/*.png", "samples/*.png")
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Turn links out of `docs` into links within the site."""
+    return markdown.replace("](../", "](")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

@@ -1,4 +1,4 @@
-"""The options of an evaluation, each told once. This module imports nothing heavy."""
+"""The options of an evaluation, each defined once. This module imports nothing heavy."""
 
 from __future__ import annotations
 

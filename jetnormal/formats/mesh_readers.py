@@ -1,8 +1,8 @@
 """How each mesh format is read; `formats.meshes` checks what comes out.
 
 PLY goes through the codec of clouds, whose errors name the line, and OFF, a table of vertices and one of faces, is read
-here with its colors. OBJ, STL and glTF are trimesh's. All of it is Python and NumPy: a damaged file is an exception and
-never a crash, which Open3D's readers cannot say.
+here with its colors. OBJ, STL and glTF are trimesh's. All of it is Python and NumPy, so that a damaged file
+raises an exception; Open3D's readers may crash on one.
 """
 
 from __future__ import annotations

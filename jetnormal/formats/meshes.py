@@ -194,23 +194,7 @@ def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
     if mesh.colors is not None:
         arrays["COLOR_0"] = np.pad(to_light(mesh.colors), ((0, 0), (0, 1)), constant_values=1).astype("<f4")
     arrays["indices"] = mesh.faces.astype("<u4").reshape(-1, 1)
-    kinds = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-    views: list[dict[str, Any]] = []
-    accessors: list[dict[str, Any]] = []
-    end = 0  # of the buffer
-    for name, array in arrays.items():
-        view = {"buffer": 0, "byteOffset": end, "byteLength": array.nbytes}
-        accessor = {
-            "bufferView": len(views),
-            "componentType": 5125 if name == "indices" else 5126,  # uint32, float32
-            "count": len(array),
-            "type": kinds[array.shape[1]],
-        }
-        if name == "POSITION":
-            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
-        views.append(view)
-        accessors.append(accessor)
-        end += array.nbytes
+    views, accessors, end = _gltf_layout(arrays)
     *attributes, indices = range(len(arrays))
     primitive = {"attributes": dict(zip(arrays, attributes, strict=False)), "indices": indices, "material": 0}
     extras = {} if offset is None else {"extras": {OFFSET: offset.tolist()}}
@@ -237,6 +221,28 @@ def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
     return [
         f"glTF has single precision: {offset.tolist()} is taken off the coordinates and stands in the file's extras"
     ]
+
+
+def _gltf_layout(arrays: dict[str, NDArray[Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]], int]:
+    """Where arrays lie in one buffer, one after the other: its views, the accessors, and its length in bytes."""
+    kinds = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    end = 0  # of the buffer
+    for name, array in arrays.items():
+        view = {"buffer": 0, "byteOffset": end, "byteLength": array.nbytes}
+        accessor = {
+            "bufferView": len(views),
+            "componentType": 5125 if name == "indices" else 5126,  # uint32, float32
+            "count": len(array),
+            "type": kinds[array.shape[1]],
+        }
+        if name == "POSITION":
+            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        views.append(view)
+        accessors.append(accessor)
+        end += array.nbytes
+    return views, accessors, end
 
 
 _WRITERS: dict[str, Callable[[Mesh, BinaryIO], list[str]]] = {

@@ -1,4 +1,4 @@
-"""What is drawn: points or a mesh, with normals and colors, from one place on in all views."""
+"""What is drawn: the points of a cloud or the vertices of a mesh, with normals and colors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Operations counted, not estimated."""
+"""Count the floating-point operations of a network while it runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trainings from their recipes: begun, and gone on with."""
+"""Start and resume trainings by their recipes."""
 
 from __future__ import annotations
 

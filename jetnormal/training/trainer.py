@@ -120,7 +120,7 @@ class Trainer(Generic[_Batch]):
             ModelError: the loss, its gradient or the weights are no longer finite.
         """
         if self.run.position.epoch >= self.options.epochs:
-            logger.info("all %d epochs of the run are done; a larger number extends it", self.options.epochs)
+            logger.info("all %d epochs of the run are done; a larger number of epochs extends it", self.options.epochs)
             return self.run.last_record()
         held_out = self.task.held_out(self._validation)
         try:

@@ -104,8 +104,9 @@ def test_commands_name_files_of_the_repository(page):
 def test_links_within_the_repository_lead_somewhere():
     """The site's own links are checked when it is built; these are read on a forge or in an editor."""
     others = [f"{folder}/README.md" for folder in ("samples", "models", "benchmarks/results")]
-    for page in ["README.md", "CHANGELOG.md", *CARDS, *others]:
-        for link in re.findall(r"\]\(([^)#]+)", (ROOT / page).read_text()):
+    pages = [path.relative_to(ROOT) for path in (ROOT / "docs").glob("*.md")]
+    for page in ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", *CARDS, *others, *pages]:
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
             assert "://" in link or (ROOT / page).parent.joinpath(link).exists(), f"{page}: {link}"
 
 

@@ -313,7 +313,7 @@ def test_a_finished_run_says_that_it_is_done(finished, caplog):
     folder, summary = finished
     with caplog.at_level("INFO", "jetnormal"):
         assert train(RECIPE, Spheres(), folder, resume=True) == summary
-    assert "all 2 epochs of the run are done; a larger number extends it" in caplog.messages
+    assert "all 2 epochs of the run are done; a larger number of epochs extends it" in caplog.messages
 
 
 def test_there_must_be_a_run_to_resume(tmp_path):

@@ -1,6 +1,6 @@
 """The errors of ranging devices, with parameters drawn at random.
 
-`distance` is where a device has the errors of the size `sigma`; both are in sizes of the target.
+At `distance` the errors of a device have the size `sigma`; both are multiples of the size of the target.
 """
 
 from __future__ import annotations
