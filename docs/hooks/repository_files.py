@@ -1,6 +1,7 @@
 """Take pages into the site that have their place elsewhere in the repository: model cards, CONTRIBUTING, CHANGELOG.
 
-Pages in `docs` link to them as `../models/cloudfit.md`, which a forge and an editor follow; the site has no folder above.
+Pages in `docs` link to them as `../models/cloudfit.md`, which a forge and an editor follow.
+The site has no folder above.
 """
 
 from __future__ import annotations
