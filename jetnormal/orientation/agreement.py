@@ -192,24 +192,34 @@ def couplings(surface: Surface, region: Ints, flips: Bools) -> Any:
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """The sum of weight_r ((matrix @ x)_r - target)^2, for a dense (R, M) matrix and weights (R,)."""
+    """The sum of weight_r ((matrix @ x[among])_r - target)^2 over x (M,), of which `among` (K,) are meant.
+
+    The matrix is dense (R, K); there are R weights.
+    """
 
     matrix: NDArray[np.float32]
     weight: Floats
     target: float
+    among: Ints
+    unknowns: int
 
     def diagonal(self) -> Floats:
         """Of the quadratic form (M,)."""
-        return np.asarray(np.einsum("r,rm,rm->m", self.weight, self.matrix, self.matrix))
+        return self._of_all(np.einsum("r,rk,rk->k", self.weight, self.matrix, self.matrix))
 
     def votes(self) -> Floats:
         """The linear form (M,)."""
-        return np.asarray((self.weight * self.target).astype(np.float32) @ self.matrix, dtype=np.float64)
+        return self._of_all((self.weight * self.target).astype(np.float32) @ self.matrix)
 
     def image(self, x: Floats) -> Floats:
         """The quadratic form's matrix times x (M,)."""
-        values = self.matrix @ x.astype(np.float32)
-        return np.asarray((self.weight * values).astype(np.float32) @ self.matrix, dtype=np.float64)
+        values = self.matrix @ x[self.among].astype(np.float32)
+        return self._of_all((self.weight * values).astype(np.float32) @ self.matrix)
+
+    def _of_all(self, values: NDArray[Any]) -> Floats:
+        result = np.zeros(self.unknowns)
+        result[self.among] = values
+        return result
 
 
 def relax(

@@ -74,7 +74,8 @@ def choose_signs(
             "view": as "global", but open surfaces look to the side from which one sensor saw them, if that can be
             found.
             "mst": consistent over a spanning tree of each component, whose extreme points then look out; one without
-            an outside is turned up. An inner shell looks out of itself.
+            an outside is turned up. An inner shell looks out of itself. Where noise is as large as the spacing, closed
+            components get the signs of "global".
             "viewpoint": towards `viewpoint`; where the sight line grazes the surface, neighbors count as well.
             "up": n_z > 0, for airborne scans; where n_z is 0, n_y > 0, and where that is 0 too, n_x > 0.
             "terrain": up, walls and crowns away from what is behind them.

@@ -20,27 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.orientation.agreement import Surface, region_forest, relax, revote, spread_signs
+from jetnormal.orientation.agreement import Surface, region_forest, revote, spread_signs
+from jetnormal.orientation.closed import FULL_VOTE, sum_votes, vote, weigh
 from jetnormal.orientation.dipole_field import contradicted
 from jetnormal.orientation.kernels.fields import solid_angles
 from jetnormal.orientation.parts import Parts, divide
 from jetnormal.orientation.single_view import Outcome, View, as_seen
-from jetnormal.orientation.visibility import VIEWS, Votes, look
-from jetnormal.orientation.winding import settle_by_winding
+from jetnormal.orientation.visibility import Votes, look
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-FULL_VOTE = VIEWS / 4  # of a point that all views see from outside
-MIN_SEEN = 0.04  # of the full votes, for a component; less comes through holes between points
-OPEN_PURITY = 0.5  # |sum| over sum of a region's votes: nearly 1 on closed surfaces, 0.3 on a hemisphere
-# Votes over couplings, if all agree. Couplings that do not contradict each other are hardly ever wrong, while a third
-# of the votes are where scanners left holes: then votes only say which of the two solutions is outward. Where
-# couplings do contradict each other, or noise hides which side of a thin part a point is on, both count alike.
-SURE_WEIGHT, DOUBTFUL_WEIGHT = 0.001, 1.0
-CONTRADICTION = 1e-3  # share of the couplings that the others contradict
-DROWNED = 0.25  # roughness over spacing
 LEVEL = 0.3  # cosine to the vertical; what is steeper is a wall
 STRAY_RADII = 1.5  # neighborhood radius, over the mean of the neighbors'
 PLACES, SOURCES = 16, 4096  # points of a component that tell whether it is inside, and that tell it of others
@@ -59,8 +50,8 @@ def turn_outward(surface: Surface, *, views: bool = False) -> Outcome:
     """
     flips, parts = divide(surface)
     surface.turn(flips)
-    votes, is_open = _vote(surface, parts)
-    belief = _weigh(surface, votes, parts, is_open)
+    votes, is_open = vote(surface, parts)
+    belief = weigh(surface, votes, parts, is_open)
     belief = np.where(_in_matter(surface, parts, belief, is_open)[parts.owner], -belief, belief)
     view = None
     if is_open.any():
@@ -74,7 +65,7 @@ def turn_up(surface: Surface) -> Outcome:
     """Turn the normals of terrain up; its walls and trees look away from what is behind them."""
     flips, parts = divide(surface)
     surface.turn(flips)
-    votes = _sum(look(surface, parts.component, alone=True), parts)
+    votes = sum_votes(look(surface, parts.component, alone=True), parts)
     outcome = _finished(surface, parts, _upright(votes, parts), ~parts.speck)
     surface.turn(surface.normals[:, 2] < -LEVEL)
     return outcome
@@ -90,59 +81,6 @@ def _finished(surface: Surface, parts: Parts, belief: Floats, is_open: Bools, vi
     open_points = is_open[parts.component]
     _follow(surface, parts.speck[parts.component] | _beside(surface), sure, open_points)
     return Outcome(sure, open_points, view)
-
-
-def _vote(surface: Surface, parts: Parts) -> tuple[Votes, Bools]:
-    """Look at each component alone and, where both its sides are seen, among the others.
-
-    Returns:
-        The votes of the regions (M,), and which components (C,) are open.
-    """
-    votes = _sum(look(surface, parts.component, alone=True), parts)
-    is_open = ~parts.speck & (_purity(votes, parts) < OPEN_PURITY)
-    if not is_open.any() or len(parts.speck) == 1:
-        return votes, is_open
-    # The sides of a box may be scanned apart: each is open alone, but together they hide their inner sides.
-    among = _sum(look(surface, parts.component, alone=False), parts)
-    seen = parts.by_component(among.total) >= MIN_SEEN * FULL_VOTE * parts.sizes
-    closed = is_open & seen & (_purity(among, parts) >= OPEN_PURITY)
-    mine = closed[parts.owner]
-    votes = Votes(np.where(mine, among.outward, votes.outward), np.where(mine, among.total, votes.total), votes.upward)
-    return votes, is_open & ~closed
-
-
-def _sum(votes: Votes, parts: Parts) -> Votes:
-    return Votes(parts.by_region(votes.outward), parts.by_region(votes.total), parts.by_region(votes.upward))
-
-
-def _purity(votes: Votes, parts: Parts) -> Floats:
-    """How far the views that see a region lie on one side of it (0 to 1), by component (C,)."""
-    total = parts.by_component(votes.total)
-    return parts.by_component(np.abs(votes.outward)) / np.where(total > 0, total, 1)
-
-
-def _weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Floats:
-    """Find signs of regions (M,), -1 to 1, from couplings and votes; where noise hides these, from winding numbers.
-
-    A region with votes for both sides counts little.
-    """
-    strength = np.asarray(abs(parts.coupling).sum(axis=1)).ravel()
-    total = parts.by_component(votes.total)
-    scale = parts.by_component(strength) / 2 / np.where(total > 0, total, 1)
-    scale[scale == 0] = 1
-    told = votes.outward * (np.abs(votes.outward) / np.where(votes.total > 0, votes.total, 1)) ** 2 * scale[parts.owner]
-    belief = relax(parts.coupling, SURE_WEIGHT * told)
-    signs = np.where(belief < 0, -1.0, 1.0)
-    denied = parts.by_component((strength - signs * (parts.coupling @ signs)) / 2)
-    drowned = 2 * parts.by_component(parts.by_region(surface.roughness > DROWNED * surface.spacing)) > parts.sizes
-    doubtful = (denied > CONTRADICTION * parts.by_component(strength)) | drowned
-    told *= np.where(doubtful, DOUBTFUL_WEIGHT, SURE_WEIGHT)[parts.owner]
-    belief = relax(parts.coupling, told)
-    for c in np.flatnonzero(drowned & ~is_open & ~parts.speck):
-        mine, rows = np.flatnonzero(parts.owner == c), np.flatnonzero(parts.component == c)
-        region, coupling = np.searchsorted(mine, parts.region[rows]), parts.coupling[mine][:, mine]
-        belief[mine] = settle_by_winding(surface, rows, region, coupling, told[mine], belief[mine])
-    return belief
 
 
 def _in_matter(surface: Surface, parts: Parts, belief: Floats, is_open: Bools) -> Bools:

@@ -3,6 +3,9 @@
 Hoppe et al., "Surface reconstruction from unorganized points" (1992), with regions instead of points: the coupling of
 two regions is a sum over all edges between them, whose sign a single wrong edge hardly changes. Then branches that
 contradict the rest are flipped, and each component is turned so that it looks outward at its extreme points.
+
+Where noise is as large as the spacing, couplings join the two sides of walls, and no tree can do without such edges.
+There, closed components take the signs of the method "global" (`closed`, `dipole_field`).
 """
 
 from __future__ import annotations
@@ -14,10 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.orientation.agreement import Forest, Surface, region_forest, revote, rooted, spread_signs
-from jetnormal.orientation.parts import divide
+from jetnormal.orientation.closed import drowned, vote, weigh
+from jetnormal.orientation.dipole_field import contradicted
+from jetnormal.orientation.parts import Parts, divide
 from jetnormal.orientation.single_view import Outcome
 from jetnormal.orientation.visibility import extremes_look_inward
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
@@ -30,15 +36,27 @@ def grow_tree(surface: Surface) -> Outcome:
     flips, parts = divide(surface)
     surface.turn(flips)
     forest = region_forest(parts.coupling)
-    flips, tree = spread_signs(forest)
-    surface.turn(mend(forest, parts.coupling, flips)[parts.region])
+    flips = mend(forest, parts.coupling, spread_signs(forest)[0])
+    walled, outward = _behind_walls(surface, parts)
+    surface.turn(np.where(walled[parts.owner], outward < 0, flips)[parts.region])
     sure = revote(surface)
-    component = tree[parts.region]
+    flips, strength = contradicted(surface, np.where(walled, np.arange(len(walled)), -1)[parts.component])
+    surface.turn(flips)
     stray = surface.radius > OUTLIER_RADIUS * np.median(surface.radius)
-    crowd = np.bincount(component, ~stray)
-    stray &= crowd[component] > 0
-    surface.turn(extremes_look_inward(surface, component, stray)[component])
-    return Outcome(sure, np.zeros(len(sure), dtype=np.bool_))
+    crowd = np.bincount(parts.component, ~stray)
+    stray &= crowd[parts.component] > 0
+    inward = extremes_look_inward(surface, parts.component, stray)
+    surface.turn((inward & ~walled)[parts.component])
+    return Outcome(sure * strength, np.zeros(len(sure), dtype=np.bool_))
+
+
+def _behind_walls(surface: Surface, parts: Parts) -> tuple[Bools, Floats]:
+    """Which components (C,) are closed and have noise that hides walls, and outward signs of regions (M,) for these."""
+    noisy = drowned(surface, parts) & ~parts.speck
+    if not noisy.any():
+        return noisy, np.zeros(len(parts.owner))
+    votes, is_open = vote(surface, parts)
+    return noisy & ~is_open, weigh(surface, votes, parts, is_open)
 
 
 def mend(forest: Forest, coupling: Any, flips: Bools) -> Bools:

@@ -28,7 +28,8 @@ ON_SURFACE = 0.5  # winding number
 WEIGHT = 3.0  # of a region's winding number over its couplings; of 1, 3 and 10 the best under high noise
 PLACES = 4  # of a region, whose mean counts
 SOURCE_POINTS, SOURCES = 10, 16_384  # points in a source, or more where there were more sources in all
-MAX_REGIONS = 4096
+MAX_REGIONS = 4096  # with winding numbers; of more, the smaller follow their couplings
+LEAST_SHARE = 0.5  # of the points, in these
 ROUNDS, TOLERANCE = 4, 1e-3  # wrong signs make the mean wrong, and with it the areas
 LEAST_MEAN = 0.1  # winding number of a surface that is mostly right
 
@@ -47,16 +48,21 @@ def settle_by_winding(
         belief: (M,) signs, more right than wrong; by their mean winding number, noise makes areas look too large.
     """
     sizes = np.bincount(region)
-    if len(sizes) > MAX_REGIONS:
+    among = np.sort(np.argsort(-sizes, kind="stable")[:MAX_REGIONS])
+    number = np.full(len(sizes), -1)
+    number[among] = np.arange(len(among))
+    held = number[region] >= 0
+    if held.sum() < LEAST_SHARE * len(rows):
         return belief
+    weight = np.asarray(WEIGHT * float(abs(coupling).sum()) / len(rows) * sizes[among], dtype=np.float64)
+    rows, region, sizes = rows[held], number[region[held]], sizes[among]
     with threadpool_limits(1, "blas"):  # whose sums depend on the number of threads
         windings = winding_matrix(surface.points[rows], surface.normals[rows], surface.spacing[rows] ** 2, region)
-        weight = np.asarray(WEIGHT * float(abs(coupling).sum()) / len(rows) * sizes, dtype=np.float64)
         for _ in range(ROUNDS):
-            mean = float(sizes @ (windings @ np.sign(belief).astype(np.float32))) / len(rows)
+            mean = float(sizes @ (windings @ np.sign(belief[among]).astype(np.float32))) / len(rows)
             if mean < LEAST_MEAN:
                 break
-            demand = LeastSquares(windings, weight * (ON_SURFACE / mean) ** 2, mean)
+            demand = LeastSquares(windings, weight * (ON_SURFACE / mean) ** 2, mean, among, len(number))
             belief = relax(coupling, told, demand, tolerance=TOLERANCE)
     return belief
 

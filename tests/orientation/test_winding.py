@@ -56,26 +56,45 @@ def test_the_winding_number_is_one_half_on_a_sphere():
 
 def test_a_demand_is_met_where_nothing_is_coupled():
     matrix = np.array([[2.0, 1.0], [0.0, 4.0]], np.float32)
-    x = relax(csr_matrix((2, 2)), np.zeros(2), LeastSquares(matrix, np.array([1.0, 5.0]), 0.5))
+    x = relax(csr_matrix((2, 2)), np.zeros(2), LeastSquares(matrix, np.array([1.0, 5.0]), 0.5, np.arange(2), 2))
     np.testing.assert_allclose(x, [0.1875, 0.125], atol=1e-5)
 
 
-def test_a_side_of_a_plate_that_neighbors_turn_the_wrong_way_is_turned_back():
+def test_a_demand_on_some_leaves_the_others_to_their_votes():
+    matrix = np.array([[2.0, 1.0], [0.0, 4.0]], np.float32)
+    demand = LeastSquares(matrix, np.array([1.0, 5.0]), 0.5, np.array([0, 2]), 3)
+    x = relax(csr_matrix((3, 3)), np.array([0.0, -1.0, 0.0]), demand)
+    np.testing.assert_allclose(x, [0.1875, -1, 0.125], atol=1e-5)
+
+
+def settled_plate():
+    """Signs of the regions of a plate, of which number 8 is a corner of number 7."""
     points, normals, region = plate(40, 0.15)
-    wrong = np.isin(region, [4, 5])
+    region[(region == 7) & (points[:, :2] > 0.8).all(axis=1)] = 8
+    wrong = np.isin(region, [4, 5, 8])
     surface = Surface(points, np.where(wrong[:, None], -normals, normals))
-    # the couplings take both sides for one sheet where they are wrong, and hold the others together weakly
+    # the couplings take both sides for one sheet where 4 and 5 are wrong, and hold the others together weakly
     pairs = [(0, 1, 1.0), (1, 3, 1.0), (3, 2, 1.0), (6, 7, 1.0), (4, 5, 1.0), (4, 0, 0.4), (5, 1, 0.4), (6, 2, -0.4)]
-    i, j, agreement = np.array(pairs).T
-    coupling = csr_matrix((agreement, (i.astype(int), j.astype(int))), (8, 8))
-    told = np.zeros(8)
+    i, j, agreement = np.array([*pairs, (7, 8, -0.4)]).T
+    coupling = csr_matrix((agreement, (i.astype(int), j.astype(int))), (9, 9))
+    told = np.zeros(9)
     told[0] = 0.1
-    belief = np.ones(8)
-    found = settle_by_winding(surface, np.arange(len(points)), region, coupling + coupling.T, told, belief)
-    np.testing.assert_array_equal(found < 0, [False] * 4 + [True] * 2 + [False] * 2)
+    return settle_by_winding(surface, np.arange(len(points)), region, coupling + coupling.T, told, np.ones(9))
 
 
-def test_the_walls_of_a_noisy_box_with_a_deep_pocket_look_outward():
+def test_a_side_of_a_plate_that_neighbors_turn_the_wrong_way_is_turned_back():
+    np.testing.assert_array_equal(settled_plate() < 0, [False] * 4 + [True] * 2 + [False] * 2 + [True])
+
+
+def test_regions_beyond_the_largest_follow_their_couplings(monkeypatch):
+    monkeypatch.setattr("jetnormal.orientation.winding.MAX_REGIONS", 8)
+    np.testing.assert_array_equal(settled_plate() < 0, [False] * 4 + [True] * 2 + [False] * 2 + [True])
+    monkeypatch.setattr("jetnormal.orientation.winding.MAX_REGIONS", 3)  # these hold too few of the points
+    np.testing.assert_array_equal(settled_plate(), np.ones(9))
+
+
+@pytest.mark.parametrize("method", ["global", "mst"])
+def test_the_walls_of_a_noisy_box_with_a_deep_pocket_look_outward(method):
     """Walls four deviations of the noise thick: by neighbors alone, inner sides get the sign of outer ones."""
     rng = np.random.default_rng(3)
     outer, inner = np.ones(3), np.full(3, 0.8)
@@ -98,4 +117,4 @@ def test_the_walls_of_a_noisy_box_with_a_deep_pocket_look_outward():
     points, normals = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     noisy = points + rng.normal(scale=0.05, size=points.shape)
     signs = rng.choice([-1.0, 1.0], (len(points), 1))
-    assert oriented_accuracy(orient(noisy, normals * signs), normals)[0] > 0.94
+    assert oriented_accuracy(orient(noisy, normals * signs, method), normals)[0] > 0.94
