@@ -7,8 +7,9 @@ An .npy file holds one array: rows of x y z, perhaps with normals and more, (N, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, cloud_from_columns, columns_from_cloud
-from jetnormal.formats.npz import load_all
+from jetnormal.formats.npz import describe_all, load_all, rows_of
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import to_storable
 from jetnormal.formats.streams import ROWS, CloudStream, RowWriter, SameLayout, from_table, memory_of, write_whole
@@ -45,26 +46,79 @@ def read(path: Path, *, columns: str | None = None, decimal: str | None = None) 
     """
     layout = _layout(columns, decimal, path)
     arrays = load_all(path)
+    held = _find(arrays, path)
+    names, notes = _name(held, arrays, layout, path)
+    return _cloud(held, arrays, names, replace(held.source, notes=held.source.notes + notes), path)
+
+
+@dataclass(frozen=True)
+class _Held:
+    """What the arrays of a file are.
+
+    Attributes:
+        points: name of the array of points; None if each coordinate has its own.
+        normals: name of the array of normals, if there is one.
+        attributes: names of the arrays that have a row for each point.
+        count: points.
+        source: what the shapes tell.
+    """
+
+    points: str | None
+    normals: str | None
+    attributes: tuple[str, ...]
+    count: int
+    source: Source
+
+    @property
+    def used(self) -> list[str]:
+        """The names of all these arrays."""
+        return [name for name in (self.points, self.normals, *self.attributes) if name is not None]
+
+
+def _find(arrays: Mapping[str, NDArray[Any]], path: Path) -> _Held:
+    """Find by names and shapes which array is what."""
     lower = {name.lower(): name for name in reversed(list(arrays))}
     if all(name in lower for name in COORDINATES):
-        return _from_named(arrays, Source(format="numpy", encoding="binary"), path)
-    name = next((lower[name] for name in _POINTS if name in lower), None)
-    if name is None:
-        held = ", ".join(arrays) or "nothing"
-        raise InputError(f"{path}: no array of points among {held}; call it points")
-    source, table = _as_rows(arrays.pop(name), path)
+        lengths = {values.shape[:1] for values in arrays.values()}
+        if len(lengths) != 1 or lengths == {()}:
+            raise InputError(f"{path}: the arrays do not have the same number of rows")
+        return _Held(None, None, tuple(arrays), lengths.pop()[0], Source(format="numpy", encoding="binary"))
+    points = next((lower[name] for name in _POINTS if name in lower), None)
+    if points is None:
+        raise InputError(f"{path}: no array of points among {', '.join(arrays) or 'nothing'}; call it points")
+    source, table = _as_rows(arrays[points], path)
     if table.dtype.names:
-        return _from_named({field: table[field] for field in table.dtype.names}, source, path)
-    names, notes = layout.apply(None, list(table.T), ".npy", path)
-    found: Columns = {key: values for key, values in zip(names, table.T, strict=True) if key != SKIPPED}
-    key = next((lower[each] for each in _NORMALS if each in lower), None)
-    if key is not None and arrays[key].shape == (len(table), 3):
-        found |= dict(zip(NORMALS, arrays.pop(key).T, strict=True))
-    rest = {name: values for name, values in arrays.items() if values.ndim and len(values) == len(table)}
-    others = [name for name in arrays if name not in rest]
-    notes += (f"arrays that do not have a row for each point are left out: {', '.join(others)}",) if others else ()
-    source = Source(format="numpy", encoding="binary", width=source.width, height=source.height, notes=notes)
-    return cloud_from_columns(found | rest, source, path)
+        return _Held(points, None, (), len(table), source)
+    normals = next((lower[each] for each in _NORMALS if each in lower), None)
+    if normals is not None and arrays[normals].shape != (len(table), 3):
+        normals = None
+    others = {name: values.shape[:1] for name, values in arrays.items() if name not in (points, normals)}
+    kept = tuple(name for name, length in others.items() if length == (len(table),))
+    left = [name for name in others if name not in kept]
+    notes = (f"arrays that do not have a row for each point are left out: {', '.join(left)}",) if left else ()
+    return _Held(points, normals, kept, len(table), replace(source, notes=notes))
+
+
+def _name(
+    held: _Held, arrays: Mapping[str, NDArray[Any]], layout: Layout, path: Path
+) -> tuple[list[str], tuple[str, ...]]:
+    """Name the columns of the array of points by the layout or their values; return what to tell the user, too."""
+    if held.points is None or arrays[held.points].dtype.names:
+        return [], ()
+    return layout.apply(None, list(_as_rows(arrays[held.points], path)[1].T), ".npy", path)
+
+
+def _cloud(held: _Held, arrays: Mapping[str, NDArray[Any]], names: list[str], source: Source, path: Path) -> Cloud:
+    """Make a cloud of arrays, or of the same rows of each."""
+    found: Columns = {}
+    if held.points is not None:
+        table = _as_rows(arrays[held.points], path)[1]
+        if table.dtype.names:
+            return cloud_from_columns({field: table[field] for field in table.dtype.names}, source, path)
+        found = {key: values for key, values in zip(names, table.T, strict=True) if key != SKIPPED}
+    if held.normals is not None:
+        found |= dict(zip(NORMALS, arrays[held.normals].T, strict=True))
+    return cloud_from_columns(found | {name: arrays[name] for name in held.attributes}, source, path)
 
 
 def _layout(columns: str | None, decimal: str | None, path: Path) -> Layout:
@@ -74,13 +128,15 @@ def _layout(columns: str | None, decimal: str | None, path: Path) -> Layout:
 
 
 def stream(path: Path, *, columns: str | None = None, decimal: str | None = None) -> CloudStream:
-    """Open an .npy file to be read in pieces.
+    """Open an .npy or .npz file to be read in pieces.
 
     Raises:
         InputError: the file is damaged, or holds no points.
         UsageError: `columns` do not fit the file.
     """
     layout = _layout(columns, decimal, path)
+    if zipfile.is_zipfile(path):
+        return _stream_npz(path, layout)
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except ValueError as error:
@@ -100,6 +156,19 @@ def stream(path: Path, *, columns: str | None = None, decimal: str | None = None
     return CloudStream(len(table), memory_of(next(pieces(1))), pieces)
 
 
+def _stream_npz(path: Path, layout: Layout) -> CloudStream:
+    described = describe_all(path)
+    held = _find({name: each.blank for name, each in described.items()}, path)
+    wanted = {name: described[name] for name in held.used}
+    names, notes = _name(held, next(rows_of(path, wanted, held.count, ROWS)), layout, path)
+    source = replace(held.source, notes=held.source.notes + notes)
+
+    def pieces(rows: int) -> Iterator[Cloud]:
+        return (_cloud(held, arrays, names, source, path) for arrays in rows_of(path, wanted, held.count, rows))
+
+    return CloudStream(held.count, memory_of(next(pieces(1))), pieces)
+
+
 def _as_rows(array: NDArray[Any], path: Path) -> tuple[Source, NDArray[Any]]:
     """Points as rows (N, c) or records (N,); the source tells the shape of a grid."""
     grid = array.ndim - (array.dtype.names is None)
@@ -112,13 +181,6 @@ def _as_rows(array: NDArray[Any], path: Path) -> tuple[Source, NDArray[Any]]:
         source = Source(format="numpy", encoding="binary", width=array.shape[1], height=array.shape[0])
         array = array.reshape(-1, *array.shape[2:])
     return source, array
-
-
-def _from_named(columns: Columns, source: Source, path: Path) -> Cloud:
-    lengths = {values.shape[:1] for values in columns.values()}
-    if len(lengths) != 1:
-        raise InputError(f"{path}: the arrays do not have the same number of rows")
-    return cloud_from_columns(columns, source, path)
 
 
 def write_npy(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
@@ -212,6 +274,6 @@ def read_kitti(path: Path) -> Cloud:
 
 FORMATS = (
     Format("numpy", (".npy",), read, write_npy, ENCODINGS, has_columns=True, stream=stream, write_rows=write_rows),
-    Format("numpy", (".npz",), read, write_npz, ENCODINGS, has_columns=True),
+    Format("numpy", (".npz",), read, write_npz, ENCODINGS, has_columns=True, stream=stream),
     Format("kitti", (), read_kitti, None, ENCODINGS),
 )

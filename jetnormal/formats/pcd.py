@@ -20,8 +20,8 @@ from jetnormal.formats.columns import Columns, UniqueNames, cloud_from_columns, 
 from jetnormal.formats.pcd_header import ENCODINGS, TYPES, Header, header_text, read_header
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import pack_colors, to_storable
-from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_table, mapped, write_whole
-from jetnormal.formats.table import format_rows, read_table
+from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_chunks, from_table, mapped, write_whole
+from jetnormal.formats.table import format_rows, read_table, skip_rows, table_pieces
 
 _NORMALS = ("normal_x", "normal_y", "normal_z")
 
@@ -46,18 +46,37 @@ def read(path: Path) -> Cloud:
 
 
 def stream(path: Path) -> CloudStream:
-    """Open a binary PCD file to be read in pieces.
+    """Open a PCD file to be read in pieces.
 
     Raises:
-        InputError: the file is text or compressed, or as `read`.
+        InputError: the file is compressed, or as `read`. What is wrong in rows of text shows when they are read.
     """
     with path.open("rb") as file:
         header = read_header(file, path)
-        if header.encoding != "binary":
-            raise InputError(f"{path}: is not read in pieces: of PCD files, those with DATA binary are")
-        _check_size(header, header.points * header.dtype.itemsize, path.stat().st_size - file.tell(), path)
-        table = mapped(path, header.dtype, file.tell(), header.points)
-    return from_table(table, _source(header), path, header.padding)
+        offset, size = file.tell(), path.stat().st_size - file.tell()
+        if header.encoding == "binary_compressed":
+            raise InputError(f"{path}: is not read in pieces: a compressed PCD file is packed as a whole")
+        if header.encoding == "ascii":
+            return _stream_ascii(file, header, size, path)
+        _check_size(header, header.points * header.dtype.itemsize, size, path)
+    return from_table(mapped(path, header.dtype, offset, header.points), _source(header), path, header.padding)
+
+
+def _stream_ascii(file: BinaryIO, header: Header, size: int, path: Path) -> CloudStream:
+    _check_size(header, header.least_text, size, path)
+    offset = file.tell()
+    found = skip_rows(file, header.points)
+    if found < header.points:
+        raise InputError(f"{path}: declares {header.points} points but holds {found}; the file is truncated")
+    _check_end(file, header, path)
+    layout: dict[str, Any] = {"line": header.lines + 1, "columns": header.columns, "count": header.points}
+    return from_chunks(
+        header.points,
+        lambda rows: table_pieces(path, offset, header.dtype, rows=rows, **layout),
+        _source(header),
+        path,
+        header.padding,
+    )
 
 
 def _source(header: Header) -> Source:
@@ -72,7 +91,7 @@ def _source(header: Header) -> Source:
 
 
 def _read_ascii(stream: BinaryIO, header: Header, size: int, path: Path) -> Columns:
-    _check_size(header, header.points * 2 * header.columns - 1, size, path)
+    _check_size(header, header.least_text, size, path)
     table = read_table(
         stream,
         header.dtype,
@@ -81,9 +100,14 @@ def _read_ascii(stream: BinaryIO, header: Header, size: int, path: Path) -> Colu
         columns=header.columns,
         rows=header.points,
     )
-    if stream.read().strip():
-        raise InputError(f"{path}: holds more than the {header.points} points it declares; correct POINTS")
+    _check_end(stream, header, path)
     return _fields(table)
+
+
+def _check_end(stream: BinaryIO, header: Header, path: Path) -> None:
+    """Refuse text that has more rows than it declares."""
+    if skip_rows(stream, 1):
+        raise InputError(f"{path}: holds more than the {header.points} points it declares; correct POINTS")
 
 
 def _read_binary(stream: BinaryIO, header: Header, size: int, path: Path) -> Columns:

@@ -42,6 +42,11 @@ class Header:
     def columns(self) -> int:
         return sum(int(np.prod(self.dtype[name].shape)) for name in self.dtype.names or ())
 
+    @property
+    def least_text(self) -> int:
+        """The least bytes of the rows as text: a digit and a blank for each number; the last line may lack its end."""
+        return self.points * 2 * self.columns - 1
+
 
 def read_header(stream: BinaryIO, path: Path) -> Header:
     entries: dict[str, list[str]] = {}

@@ -24,7 +24,8 @@ from jetnormal.formats.ply_header import BYTE_ORDERS, ENCODINGS, TYPE_NAMES, Ele
 from jetnormal.formats.ply_rows import format_element, read_element
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import to_storable, unpack_colors
-from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_table, mapped, write_whole
+from jetnormal.formats.streams import CloudStream, RowWriter, SameLayout, from_chunks, from_table, mapped, write_whole
+from jetnormal.formats.table import skip_rows, table_pieces
 
 
 @dataclass(frozen=True)
@@ -80,19 +81,24 @@ def stream(path: Path) -> CloudStream:
     """Open a PLY file to be read in pieces: one whose vertices come first and have no lists.
 
     Raises:
-        InputError: the file is none of these, or as `read`.
+        InputError: the file is none of these, or as `read`. What is wrong in rows of text shows when they are read.
     """
     with path.open("rb") as file:
         header, vertex = _read_header(file, path)
-        if vertex is not header.elements[0] or not vertex.is_scalar or header.encoding == "ascii":
-            raise InputError(
-                f"{path}: is not read in pieces (it is text, has lists, or vertices behind other elements)"
-            )
-        table = mapped(path, vertex.dtype(header.encoding), file.tell(), vertex.count)
-        file.seek(table.nbytes, io.SEEK_CUR)
+        if vertex is not header.elements[0] or not vertex.is_scalar:
+            raise InputError(f"{path}: is not read in pieces: its vertices have lists or stand behind other elements")
+        dtype, offset, count = vertex.dtype(header.encoding), file.tell(), vertex.count
+        if header.encoding != "ascii":
+            file.seek(count * dtype.itemsize, io.SEEK_CUR)
+        elif (found := skip_rows(file, count)) < count:
+            raise InputError(f"{path}: declares {count} points but holds {found}; the file is truncated")
         others = header.elements[1:]
         body, trailing = _read_body(file, header, others, path)
-    return from_table(table, _source(header, vertex, others, body, trailing, path), path)
+    source = _source(header, vertex, others, body, trailing, path)
+    if header.encoding != "ascii":
+        return from_table(mapped(path, dtype, offset, count), source, path)
+    layout: dict[str, Any] = {"line": header.lines + 1, "columns": len(vertex.properties), "count": count}
+    return from_chunks(count, lambda rows: table_pieces(path, offset, dtype, rows=rows, **layout), source, path)
 
 
 def _read_header(stream: BinaryIO, path: Path) -> tuple[Header, Element]:

@@ -104,14 +104,34 @@ def from_table(table: NDArray[Any], source: Source, path: Path, left_out: frozen
         path: the file, for messages.
         left_out: fields that are no attributes.
     """
-    names = [name for name in table.dtype.names or () if name not in left_out]
+
+    def chunks(rows: int) -> Iterator[NDArray[Any]]:
+        return (np.array(table[start : start + rows]) for start in range(0, max(1, len(table)), rows))
+
+    return from_chunks(len(table), chunks, source, path, left_out)
+
+
+def from_chunks(
+    points: int,
+    chunks: Callable[[int], Iterator[NDArray[Any]]],
+    source: Source,
+    path: Path,
+    left_out: frozenset[str] = frozenset(),
+) -> CloudStream:
+    """Make a stream of records that come in chunks (n,) of at most so many; one is there without points.
+
+    Args:
+        points: records in all.
+        chunks: yields them in their order.
+        source, path, left_out: as for `from_table`.
+    """
 
     def pieces(rows: int) -> Iterator[Cloud]:
-        for start in range(0, max(1, len(table)), rows):
-            piece = np.array(table[start : start + rows])
-            yield cloud_from_columns({name: piece[name] for name in names}, source, path)
+        for chunk in chunks(rows):
+            columns = {name: chunk[name] for name in chunk.dtype.names or () if name not in left_out}
+            yield cloud_from_columns(columns, source, path)
 
-    return CloudStream(len(table), memory_of(next(pieces(1))), pieces)
+    return CloudStream(points, memory_of(next(pieces(1))), pieces)
 
 
 def memory_of(cloud: Cloud) -> int:

@@ -6,6 +6,8 @@ its shortest text that reads back to the same bits.
 
 from __future__ import annotations
 
+import itertools
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 from jetnormal.errors import InputError
 
 _ROWS_PER_CHUNK = 50_000
+_BYTES = 1 << 20  # that are looked at together
 
 
 def read_table(
@@ -43,28 +46,80 @@ def read_table(
         InputError: naming the line that holds a wrong number of values or one that is not a number of its
             type; or if the stream holds fewer than `rows`.
     """
+    table = _parse(stream, dtype, path, line, columns, rows, delimiter)
+    if rows is not None and len(table) < rows:
+        raise InputError(f"{path}: declares {rows} points but holds {len(table)}; the file is truncated")
+    return table
+
+
+def table_pieces(
+    path: Path, offset: int, dtype: np.dtype[Any], *, line: int, columns: int, count: int, rows: int
+) -> Iterator[NDArray[Any]]:
+    """Read rows of numbers of a file piece by piece; they have the values of `read_table`.
+
+    Args:
+        path: the file.
+        offset: where its first row begins.
+        dtype, line, columns: as for `read_table`.
+        count: how many rows there are (`skip_rows`).
+        rows: of a piece, at most. Without rows, there is one piece.
+
+    Raises:
+        InputError: as `read_table`.
+    """
+    with path.open("rb") as stream:
+        stream.seek(offset)
+        for start in range(0, max(1, count), rows):
+            yield _parse(stream, dtype, path, line, columns, min(rows, count - start), None, offset)
+
+
+def skip_rows(stream: BinaryIO, count: int) -> int:
+    """Leave a stream behind the next `count` lines that are not blank; return how many there are."""
+    lines = (raw for raw in stream if not raw.isspace())
+    return sum(1 for _ in itertools.islice(lines, count))
+
+
+def _parse(
+    stream: BinaryIO,
+    dtype: np.dtype[Any],
+    path: Path,
+    line: int,
+    columns: int,
+    rows: int | None,
+    delimiter: str | None,
+    origin: int | None = None,
+) -> NDArray[Any]:
+    """Up to so many rows; `line` is the number of the line at `origin`, or of the first one here."""
     if rows == 0:
         return np.empty(0, dtype)
     start = stream.tell()
     try:
-        table = np.loadtxt(
-            stream,
-            dtype,
-            comments=None,
-            delimiter=delimiter,
-            max_rows=rows,
-            ndmin=1 if dtype.names else 2,
-            encoding="latin1",
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that there are blank lines
+            table = np.loadtxt(
+                stream,
+                dtype,
+                comments=None,
+                delimiter=delimiter,
+                max_rows=rows,
+                ndmin=1 if dtype.names else 2,
+                encoding="latin1",
+            )
     except ValueError as error:
+        line += _lines_between(stream, start if origin is None else origin, start)
         stream.seek(start)
         problem = _find_problem(stream, _leaf_types(dtype, columns), line, delimiter)
         raise InputError(f"{path}: {problem or error}; correct the file") from None
     if not dtype.names and len(table) and table.shape[1] != columns:
         raise InputError(f"{path}: line {line}: {table.shape[1]} values instead of {columns}; correct the file")
-    if rows is not None and len(table) < rows:
-        raise InputError(f"{path}: declares {rows} points but holds {len(table)}; the file is truncated")
     return table
+
+
+def _lines_between(stream: BinaryIO, start: int, end: int) -> int:
+    """The number of lines between two positions; the stream is moved."""
+    stream.seek(start)
+    sizes = range(start, end, _BYTES)
+    return sum(stream.read(min(_BYTES, end - begin)).count(b"\n") for begin in sizes)
 
 
 def _leaf_types(dtype: np.dtype[Any], columns: int) -> list[np.dtype[Any]]:

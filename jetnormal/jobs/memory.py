@@ -22,6 +22,7 @@ HELD = 150  # bytes of it before, while blocks of it are looked at
 THINNED = 4_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
 BINARY = 16  # bytes of a point in a file that is not text: three float32 and some more
+COMPRESSED = ("las", "numpy")  # perhaps: the size of such files tells little
 ON_DISK = 65  # bytes of a point in its tile, with what is found of it
 OF_THINNED = 56  # bytes of a point of the thinned cloud
 SENSOR = 24  # bytes of the position from which a point was seen
@@ -49,12 +50,16 @@ def _text(path: Path) -> str:
 def at_once(path: Path, files: ReadOptions, limit: int) -> int:
     """Estimate the memory in bytes that a cloud takes if it is computed at once, without reading it.
 
-    The size of the file decides. The header is read only if the file is compressed or its size is beyond the limit.
+    The size of the file decides. The header is read only if it is quickly read, and the file is compressed or its size
+    is beyond the limit.
     """
     known = formats.find_format(path, formats.format_for(path, files.format))
     try:
-        rough = peak(path.stat().st_size // _bytes_of_a_point(path))
-        if known.stream is None or known.stream_reads_all or (known.name != "las" and rough <= limit):
+        lines = _bytes_of_a_line(path)
+        rough = peak(path.stat().st_size // max(BINARY, lines))
+        if known.stream is None or known.stream_reads_all or lines > 0:
+            return rough
+        if known.name not in COMPRESSED and rough <= limit:
             return rough
     except OSError:
         return 0  # reading it tells what is wrong
@@ -70,12 +75,12 @@ def peak(points: int) -> int:
     return PROGRAM + max(points * PER_POINT, points * HELD + bytes_together(points))
 
 
-def _bytes_of_a_point(path: Path) -> int:
-    """Bytes of a row of a text file, estimated from some of its lines; a usual number for other files."""
+def _bytes_of_a_line(path: Path) -> int:
+    """Bytes of a row of a text file, estimated from some of its lines; 0 for other files."""
     with path.open("rb") as stream:
         head = stream.read(1 << 16)
     lines = head.count(b"\n")
-    return BINARY if b"\0" in head or not lines else max(BINARY, len(head) // lines)
+    return 0 if b"\0" in head or not lines else len(head) // lines
 
 
 @dataclass(frozen=True)

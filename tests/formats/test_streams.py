@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,22 +28,107 @@ def cloud() -> Cloud:
 def joined(pieces: list[Cloud]) -> Cloud:
     attributes = {name: np.concatenate([p.attributes[name] for p in pieces]) for name in pieces[0].attributes}
     source = replace(pieces[0].source, sensors=None)
-    return Cloud(np.concatenate([p.points for p in pieces]), None, attributes, source)
+    normals = None if pieces[0].normals is None else np.concatenate([p.normals for p in pieces])
+    return Cloud(np.concatenate([p.points for p in pieces]), normals, attributes, source)
 
 
-@pytest.mark.parametrize("name", TARGETS)
-def test_pieces_are_the_whole(tmp_path, cloud, name):
-    path = tmp_path / name
-    write(cloud, path)
+def assert_pieces_are_the_whole(path: Path) -> None:
     whole, stream = read(path), open_stream(path)
     found = list(stream.pieces(PIECE))
-    assert stream.points == 200 and max(map(len, found)) <= PIECE
+    assert stream.points == len(whole) and 0 < max(map(len, found)) <= PIECE
     again = joined(found)
     assert again.points.tobytes() == whole.points.tobytes()
+    assert (again.normals is None) == (whole.normals is None)
+    assert whole.normals is None or again.normals.tobytes() == whole.normals.tobytes()
     assert list(again.attributes) == list(whole.attributes)
     for key, values in whole.attributes.items():
-        assert again.attributes[key].dtype == values.dtype
-        np.testing.assert_array_equal(again.attributes[key], values)
+        assert {piece.attributes[key].dtype for piece in found} == {values.dtype}
+        assert again.attributes[key].tobytes() == values.astype(again.attributes[key].dtype).tobytes()
+    for name in ("columns", "width", "height", "point_dtype", "normal_dtype", "comments", "notes"):
+        assert all(getattr(piece.source, name) == getattr(whole.source, name) for piece in found)
+
+
+READ = [*((name, None) for name in [*TARGETS, "a.npz"]), ("a.ply", "ascii"), ("a.pcd", "ascii")]
+
+
+@pytest.mark.parametrize(("name", "encoding"), READ)
+def test_pieces_are_the_whole(tmp_path, cloud, name, encoding):
+    cloud.points[77] = np.nan if name not in ("a.las", "a.laz") else 0
+    write(cloud, tmp_path / name, encoding=encoding)
+    assert_pieces_are_the_whole(tmp_path / name)
+
+
+def test_text_with_faces_and_blank_lines_comes_in_pieces(tmp_path):
+    """The faces follow the vertices; every piece knows of them, and an error names the line."""
+    rows = [f"{i / 7!r} {i} {1 / (i + 1)!r} {i}" for i in range(100)]
+    head = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty double y\nproperty float z\n"
+    head += "property uchar label\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    faces = "\n3 0 1 2\n3 2 1 0\n"
+    path = tmp_path / "a.ply"
+    path.write_text(head.format(100) + "\n".join([*rows[:50], "", " ", *rows[50:]]) + "\n" + faces)
+    assert_pieces_are_the_whole(path)
+    assert next(open_stream(path).pieces(PIECE)).source.extra == read(path).source.extra
+    path.write_text(head.format(103) + "\n".join(rows) + "\n" + faces)
+    with pytest.raises(InputError, match="declares 103 points but holds 102"):
+        open_stream(path)
+    path.write_text(
+        head.format(100) + "\n".join([*rows[:50], "", *rows[50:80], "1 2 3 256", *rows[81:]]) + "\n" + faces
+    )
+    for reads in (read, lambda path: list(open_stream(path).pieces(PIECE))):
+        with pytest.raises(InputError, match="line 92: '256' is not a number of type uint8"):
+            reads(path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"), [(99, "declares 100 points but holds 99"), (101, "holds more than the 100")]
+)
+def test_text_of_another_length_is_refused_before_the_first_piece(tmp_path, rows, message):
+    head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 100\nHEIGHT 1\nPOINTS 100\nDATA ascii\n"
+    (tmp_path / "a.pcd").write_text(head + "12.5 3.25 1.5\n" * rows)
+    for reads in (read, open_stream):
+        with pytest.raises(InputError, match=message):
+            reads(tmp_path / "a.pcd")
+
+
+GRID = np.random.default_rng(0).normal(size=(20, 10, 3))
+ROWS = GRID.reshape(-1, 3).astype(np.float32)
+RECORDS = np.zeros(200, [("x", "<f4"), ("Y", ">f8"), ("z", "<f4"), ("pair", "<u2", 2)])
+RECORDS["x"], RECORDS["Y"], RECORDS["z"], RECORDS["pair"] = *ROWS.T, np.arange(400).reshape(200, 2)
+PAIRS = np.arange(1200, dtype=">i4").reshape(200, 3, 2)
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"points": ROWS, "normals": ROWS / 2, "label": np.arange(200), "scale": np.ones(2)},
+        {"xyz": np.asfortranarray(ROWS), "pairs": np.asfortranarray(PAIRS), "more": PAIRS, "flags": np.arange(200) > 9},
+        {"points": GRID, "intensity": np.arange(200, dtype=np.uint8)},
+        {"points": np.c_[ROWS, ROWS / np.linalg.norm(ROWS, axis=1, keepdims=True), np.full(200, 7.5)]},
+        {"x": ROWS[:, 0], "y": GRID.reshape(-1, 3)[:, 1], "Z": ROWS[:, 2], "time": np.arange(200)},
+        {"points": RECORDS},
+        {"points": RECORDS.reshape(20, 10)},
+    ],
+)
+def test_arrays_of_an_archive_come_in_pieces(tmp_path, save, arrays):
+    save(tmp_path / "a.npz", **arrays)
+    assert_pieces_are_the_whole(tmp_path / "a.npz")
+
+
+def test_archives_that_cannot_be_read_in_pieces(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, points=np.asfortranarray(GRID))
+    with pytest.raises(InputError, match="'points' is a grid that lies column by column"):
+        open_stream(path)
+    np.savez(path, points=ROWS, names=np.array(["a", {}] * 100, object))
+    with pytest.raises(InputError, match="Python objects"):
+        open_stream(path)
+    np.savez_compressed(path, points=ROWS)
+    damaged = bytearray(path.read_bytes())
+    damaged[1000:1100] = bytes(100)
+    path.write_bytes(damaged)
+    with pytest.raises(InputError, match=r"not a readable \.npz file"):
+        list(open_stream(path).pieces(PIECE))
 
 
 @pytest.mark.parametrize("name", ["a.e57", "a.ptx"])
@@ -101,16 +187,19 @@ def test_a_column_of_text_keeps_one_type(tmp_path):
     assert kinds == {np.dtype(np.float64)} and stream.points == 1000
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.pcd"])
-def test_what_cannot_be_read_in_pieces_says_so(tmp_path, cloud, name):
-    write(cloud, tmp_path / name, encoding="ascii")
-    with pytest.raises(InputError, match="not read in pieces"):
-        open_stream(tmp_path / name)
+def test_what_cannot_be_read_in_pieces_says_so(tmp_path, cloud):
+    write(cloud, tmp_path / "a.pcd", encoding="binary_compressed")
+    with pytest.raises(InputError, match=r"not read in pieces: a compressed PCD"):
+        open_stream(tmp_path / "a.pcd")
+    cloud.attributes["list"] = np.array([np.arange(i % 3, dtype="i4") for i in range(200)], object)
+    write(cloud, tmp_path / "a.ply")
+    with pytest.raises(InputError, match=r"not read in pieces: its vertices have lists"):
+        open_stream(tmp_path / "a.ply")
 
 
 def test_formats_without_pieces_name_those_that_have_them(tmp_path, cloud):
-    with pytest.raises(InputError, match=r"numpy file is not read in pieces; .*\.las \.laz .*\.ply"):
-        open_stream(tmp_path / "a.npz")
+    with pytest.raises(InputError, match=r"kitti file is not read in pieces; .*\.las \.laz .*\.ply"):
+        open_stream(tmp_path / "a.bin", format="kitti")
     with pytest.raises(InputError, match=r"not written in pieces; .*\.las \.laz .*\.ply"):
         write_pieces(iter([cloud]), 200, np.zeros((2, 3)), tmp_path / "a.npz")
 
@@ -123,9 +212,9 @@ def test_a_type_that_depends_on_values_is_refused(tmp_path):
     assert not (tmp_path / "a.ply").exists()
 
 
-@pytest.mark.parametrize("name", TARGETS)
-def test_a_file_without_points_has_one_piece(tmp_path, name):
+@pytest.mark.parametrize(("name", "encoding"), READ)
+def test_a_file_without_points_has_one_piece(tmp_path, name, encoding):
     path = tmp_path / name
-    write(Cloud(np.empty((0, 3)), None, {"intensity": np.empty(0, np.uint16)}), path)
+    write(Cloud(np.empty((0, 3)), None, {"intensity": np.empty(0, np.uint16)}), path, encoding=encoding)
     stream = open_stream(path)
     assert stream.points == 0 and [len(piece) for piece in stream.pieces(PIECE)] == [0]

@@ -34,11 +34,13 @@ def in_tiles(source: Path, target: Path, options: EstimateOptions = JET, **setti
 VARYING = ("seconds", "output", "points_per_second", "tiles", "peak_memory_mb", "warnings")
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.pcd", "a.npy", "a.xyz"])
-def test_tiles_give_what_the_whole_gives(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("a.ply", None), ("a.ply", "ascii"), ("a.pcd", None), ("a.npy", None), ("a.xyz", None)]
+)
+def test_tiles_give_what_the_whole_gives(tmp_path, name, encoding):
     """Patches are the same points, and all points are in the thinned cloud: every value is the same."""
     source, whole, tiled = tmp_path / name, tmp_path / f"whole_{name}", tmp_path / f"tiled_{name}"
-    write(sphere_cloud(), source)
+    write(sphere_cloud(), source, encoding=encoding)
     first, second = estimate_file(source, whole, JET), in_tiles(source, tiled)
     assert second["tiles"]["count"] >= 4
     assert {key: value for key, value in second.items() if key not in VARYING} == {
@@ -156,8 +158,12 @@ def test_a_cloud_beyond_the_memory_goes_in_tiles(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "machine_memory", lambda: 6_500_000)
     assert "tiles" in estimate_file(tmp_path / "a.ply", tmp_path / "b.ply", JET)
     write(sphere_cloud(), tmp_path / "a.npz")
-    with pytest.raises(InputError, match=r"more than 0\.0039 GB \(`max_memory`\), and numpy files .*; .*\.ply"):
-        estimate_file(tmp_path / "a.npz", tmp_path / "d.ply", JET)
+    assert "tiles" in estimate_file(tmp_path / "a.npz", tmp_path / "d.ply", JET)
+    assert (tmp_path / "d.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    rows = np.c_[sphere_cloud().points, np.zeros(5000)].astype("<f4")
+    (tmp_path / "a.bin").write_bytes(rows.tobytes())
+    with pytest.raises(InputError, match=r"more than 0\.0039 GB \(`max_memory`\), and kitti files .*; .*\.ply"):
+        estimate_file(tmp_path / "a.bin", tmp_path / "e.ply", JET, FileOptions(format="kitti"))
     large = LargeOptions(max_memory=100_000_000)
     assert "tiles" not in estimate_file(tmp_path / "a.ply", tmp_path / "c.ply", JET, large=large)
 
