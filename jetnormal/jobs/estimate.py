@@ -206,6 +206,12 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
             raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
         first, copies = distinct(points)
         points = points[first]
+        index = np.min_scalar_type(-max(1, len(cloud)))  # half the memory of int64
+        chosen = rows[first].astype(index)
+        copy_of = np.full(len(cloud), -1, index)
+        copy_of[rows] = copies
+        valid = len(rows)
+        del rows, first, copies
     if len(points) < 3:
         raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
     with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
@@ -213,16 +219,14 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
     prediction = replace(prediction, rough=prediction.normals)  # nobody asks for it any more
     del points  # the signs take most memory: they work on a copy of their own
     with timer.stage("orient"):
-        known = None if sensors is None else sensors.of(rows[first])
-        orientation, decision = settle(
-            cloud.points[rows[first]], prediction.normals, options.orient, known, cloud.source
-        )
+        known = None if sensors is None else sensors.of(chosen)
+        orientation, decision = settle(cloud.points[chosen], prediction.normals, options.orient, known, cloud.source)
     warnings += decision.warnings()
 
     def spread(values: NDArray[Any]) -> NDArray[Any]:
         """Values of the distinct points as values of all rows of the cloud, NaN where there are none."""
-        full = np.full((len(cloud), *values.shape[1:]), np.nan, dtype=values.dtype)
-        full[rows] = values[copies]
+        full = values[copy_of]
+        full[copy_of < 0] = np.nan
         return full
 
     normals = spread(orientation.normals.astype(np.float64))
@@ -230,7 +234,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
     if curvatures is not None:
         turned = (orientation.normals * prediction.normals).sum(axis=1) < 0
         curvatures = turned_curvatures(curvatures, turned)
-    warnings += gaps(len(cloud) - len(rows), len(rows) - int(np.isfinite(normals).all(axis=1).sum()))
+    warnings += gaps(len(cloud) - valid, valid - int(np.isfinite(normals).all(axis=1).sum()))
     return Result(
         normals,
         spread(prediction.confidence),

@@ -27,6 +27,7 @@ from jetnormal.orientation.kernels.edges import (
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Labels = NDArray[np.int32]  # of regions and components
 Bools = NDArray[np.bool_]
 
 GRAPH_NEIGHBORS = 12
@@ -153,7 +154,7 @@ def spread_signs(forest: Forest) -> tuple[Bools, Ints]:
     return flips[:-1], tree
 
 
-def regions(surface: Surface) -> tuple[Bools, Ints]:
+def regions(surface: Surface) -> tuple[Bools, Labels]:
     """Find regions of up to `REGION_POINTS` points that sure edges connect; the surest edges are taken first.
 
     Returns:
@@ -164,10 +165,10 @@ def regions(surface: Surface) -> tuple[Bools, Ints]:
     root = np.arange(len(points))
     flips = np.zeros(len(root), dtype=np.bool_)
     join_edges(order, neighbors, surface.edges, REGION_POINTS, np.ones_like(root), root, flips)
-    return flips, np.unique(root, return_inverse=True)[1]
+    return flips, np.unique(root, return_inverse=True)[1].astype(np.int32)
 
 
-def couplings(surface: Surface, region: Ints, flips: Bools) -> Any:
+def couplings(surface: Surface, region: Labels, flips: Bools) -> Any:
     """How far regions agree, a symmetric sparse (M, M) matrix.
 
     It is the sum of c |c| over the edges c between two regions, times the ratio of this sum to the sum of c^2: many

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.orientation.agreement import Surface, chunks
+from jetnormal.orientation.agreement import Labels, Surface, chunks
 from jetnormal.orientation.kernels.fields import add_dipoles, read_grid
 from jetnormal.support.device import available_cores
 
@@ -29,7 +29,7 @@ MARGIN = 1.3  # side of the periodic box over the largest extent of the points
 SMOOTHING = 0.7  # standard deviation, in cells, of the Gaussian that hides the grid
 
 
-def contradicted(surface: Surface, label: Ints) -> tuple[NDArray[np.bool_], Floats]:
+def contradicted(surface: Surface, label: Labels) -> tuple[NDArray[np.bool_], Floats]:
     """Find noisy points that the field of their object's points contradicts.
 
     Each object has a field of its own: closed surfaces do not influence each other, and a common grid would be as
@@ -51,59 +51,53 @@ def contradicted(surface: Surface, label: Ints) -> tuple[NDArray[np.bool_], Floa
     for one in np.flatnonzero(share > NOISY_SHARE):
         rows = np.flatnonzero(label == one)
         rows = rows[surface.radius[rows] <= STRAY_RADII * np.median(surface.radius[rows])]
-        asked = noisy[rows]
-        found = _field_strength(surface.points[rows], surface.normals[rows], surface.spacing[rows], asked)
+        found = _field_strength(surface, rows, noisy[rows])
         strength[rows], flips[rows] = np.abs(found), found < 0
     return flips, strength
 
 
-def _field_strength(points: Floats, normals: Floats, spacing: Floats, noisy: NDArray[np.bool_]) -> Floats:
-    """How far the field of all points agrees with the normals of noisy ones (N,), -1 to 1; 1 for the others."""
-    strength = np.ones(len(points))
-    field = DipoleField(points, _cells(points, spacing))
-    rows = np.flatnonzero(noisy & (spacing * MAX_CELL_SPACINGS > field.cell))
-    for _ in range(ROUNDS if len(rows) else 0):  # of a cloud of many millions, the field knows less than the neighbors
-        field.solve(normals, strength * spacing**2)
-        parts = [rows[part] for part in chunks(len(rows))]
-        drop = np.concatenate([field.drop(points[part], normals[part]) for part in parts])
+def _field_strength(surface: Surface, rows: Ints, noisy: NDArray[np.bool_]) -> Floats:
+    """How far the field of points (n,) agrees with the normals of the noisy ones (n,), -1 to 1; 1 for the others."""
+    strength = np.ones(len(rows))
+    field = DipoleField(surface.points, rows, surface.spacing)
+    asked = np.flatnonzero(noisy & (surface.spacing[rows] * MAX_CELL_SPACINGS > field.cell))
+    for _ in range(ROUNDS if len(asked) else 0):  # of a cloud of many millions, the field knows less than the neighbors
+        field.solve(surface.normals, surface.spacing, strength)
+        drop = np.concatenate([field.drop(surface.normals, rows[asked[part]]) for part in chunks(len(asked))])
         scale = np.median(np.abs(drop))
-        strength[rows] = np.clip(drop / scale, -1, 1) if scale > 0 else 1
+        strength[asked] = np.clip(drop / scale, -1, 1) if scale > 0 else 1
     return strength
-
-
-def _cells(points: Floats, spacing: Floats) -> int:
-    """Cells along a field's side: as the spacing requires, but in all not many more than there are points."""
-    from scipy.fft import next_fast_len
-
-    extent = float(np.ptp(points, axis=0).max())
-    wanted = MARGIN * extent / (CELL_SPACINGS * float(np.median(spacing)))
-    most = min(MAX_CELLS, np.cbrt(CELLS_PER_POINT * len(points)))
-    return int(next_fast_len(int(np.clip(wanted, MIN_CELLS, max(MIN_CELLS, most))), real=True))
 
 
 class DipoleField:
     """The field of points whose normals are outward, on a cubic grid around them.
 
     Args:
-        points: (N, 3), not all in one place.
-        cells: along each side of the grid.
+        points: (N, 3).
+        rows: (n,) which of them have the field; they are not all in one place.
+        spacing: (N,) distance between points around each.
     """
 
-    def __init__(self, points: Floats, cells: int) -> None:
-        low, high = points.min(axis=0), points.max(axis=0)
-        self.cell = float((high - low).max()) * MARGIN / cells
+    def __init__(self, points: Floats, rows: Ints, spacing: Floats) -> None:
+        parts = [rows[part] for part in chunks(len(rows))]
+        low = np.min([points[part].min(axis=0) for part in parts], axis=0)
+        high = np.max([points[part].max(axis=0) for part in parts], axis=0)
+        extent = float((high - low).max())
+        cells = _cells(extent, float(np.median(spacing[rows])), len(rows))
+        self.cell = extent * MARGIN / cells
         self._corner = (low + high) / 2 - self.cell * cells / 2
-        self._points = points
+        self._points, self._rows = points, rows
         self._response = _response(cells) * np.float32(cells**2 / self.cell**2)
         self._values = np.zeros((cells,) * 3, dtype=np.float32)
 
-    def solve(self, normals: Floats, areas: Floats) -> None:
-        """Find the field of outward unit normals (N, 3) and the areas (N,) that the points stand for."""
+    def solve(self, normals: Floats, spacing: Floats, strength: Floats) -> None:
+        """Find the field of outward unit normals (N, 3), each times its strength (n,) and its spacing (N,) squared."""
         from scipy.fft import irfftn, rfftn
 
         self._values[:] = 0  # the charges, and then the field: grids are large
-        for rows in chunks(len(areas)):
-            moments = normals[rows] * areas[rows, None]
+        for part in chunks(len(strength)):
+            rows = self._rows[part]
+            moments = normals[rows] * (strength[part] * spacing[rows] ** 2)[:, None]
             add_dipoles(self._points[rows], moments, self._corner, self.cell, self._values)
         workers = available_cores()  # the values do not depend on them
         spectrum = rfftn(self._values, workers=workers)
@@ -115,9 +109,19 @@ class DipoleField:
         """The indicator (Q,) at places (Q, 3) in the points' box or near it."""
         return np.asarray(read_grid(places, self._corner, self.cell, self._values))
 
-    def drop(self, points: Floats, normals: Floats) -> Floats:
-        """How far the indicator falls (Q,) across points (Q, 3) along their normals, over two cells."""
+    def drop(self, normals: Floats, rows: Ints) -> Floats:
+        """How far the indicator falls across some points (Q,) along their normals, among all (N, 3), over two cells."""
+        points, normals = self._points[rows], normals[rows]
         return self.at(points - normals * self.cell) - self.at(points + normals * self.cell)
+
+
+def _cells(extent: float, spacing: float, points: int) -> int:
+    """Cells along a field's side: as the spacing requires, but in all not many more than there are points."""
+    from scipy.fft import next_fast_len
+
+    wanted = MARGIN * extent / (CELL_SPACINGS * spacing)
+    most = min(MAX_CELLS, np.cbrt(CELLS_PER_POINT * points))
+    return int(next_fast_len(int(np.clip(wanted, MIN_CELLS, max(MIN_CELLS, most))), real=True))
 
 
 def _response(cells: int) -> NDArray[np.float32]:

@@ -97,20 +97,19 @@ def choose_signs(
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.linalg.norm(normals.astype(np.float64), axis=1)
     rows = np.flatnonzero(np.isfinite(points).all(axis=1) & np.isfinite(length) & (length > 0))
-    used = normals[rows] / length[rows, None]
-    flip = looks_down(used)  # the common start, whatever signs came in
-    used[flip] *= -1
+    del length
+    flip = looks_down(normals[rows])  # turned up, all have a common start, whatever signs came in
     if method == "viewpoint":
+        used = _turned_up(normals[rows])
         cosine = np.einsum("nd,nd->n", used, sights[rows])
         flip ^= cosine < 0
         seen = np.where(cosine < 0, -1.0, 1.0)[:, None] * used
         flip ^= grazing_flips(points[rows].astype(np.float64), seen, np.abs(cosine))
         result.confidence[rows] = np.where(sights[rows].any(axis=1), probability(np.abs(cosine), "sight"), 0)
     elif method == "up":
-        result.confidence[rows] = probability(used[:, 2], "sight")
+        result.confidence[rows] = probability(_turned_up(normals[rows])[:, 2], "sight")
     elif len(rows):
-        del length
-        turned, found = _spread(points[rows].astype(np.float64, copy=False), used, method)
+        turned, found = _spread(points[rows].astype(np.float64, copy=False), _turned_up(normals[rows]), method)
         flip ^= turned
         result.confidence[rows], result.open[rows] = found.sure, found.open
         result = replace(result, view=found.view)
@@ -129,15 +128,25 @@ def _sights(points: NDArray[Any], viewpoint: ArrayLike | None) -> Floats:
     return np.divide(sights, length, out=np.zeros(points.shape), where=np.isfinite(length) & (length > 0))
 
 
+def _turned_up(normals: NDArray[Any]) -> Floats:
+    """Unit vectors (N, 3) along normals, none of which looks down."""
+    units = normals.astype(np.float64)
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    units[looks_down(units)] *= -1
+    return units
+
+
 def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Outcome]:
-    """Which unit normals (N, 3) to flip, and what was found; N >= 1. The points (N, 3) are moved."""
+    """Which unit normals (N, 3) to flip, none of which looks down, and what was found; N >= 1. The points are moved."""
     middle = np.partition(points, len(points) // 2, axis=0)[len(points) // 2]  # whatever strays are where
     points -= middle  # far from the origin, projections would be coarse
     first, copy_of = distinct(points)
     order = spatial_order(points[first])  # neighbors are near in memory, too
     first, copy_of = first[order], np.argsort(order)[copy_of]
     placed, directed = points[first], normals[first]
-    del points, first, order  # the graph takes most memory
+    copies = np.setdiff1d(np.arange(len(points)), first, assume_unique=True)
+    of_copies = normals[copies]
+    del points, normals, first, order  # the graph takes most memory
     surface = Surface(placed, directed)
     if method == "mst":
         found = grow_tree(surface)
@@ -145,8 +154,9 @@ def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Out
         found = turn_up(surface)
     else:
         found = turn_outward(surface, views=method == "view")
+    flips = looks_down(surface.normals)[copy_of]
     # Copies of a point follow the first one. In the graph, many of them would see nothing but each other.
-    flips = np.einsum("nd,nd->n", normals, surface.normals[copy_of]) < 0
+    flips[copies] = np.einsum("nd,nd->n", of_copies, surface.normals[copy_of[copies]]) < 0
     return flips, replace(found, sure=_probability(found, method)[copy_of], open=found.open[copy_of])
 
 

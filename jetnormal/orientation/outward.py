@@ -75,7 +75,8 @@ def _finished(surface: Surface, parts: Parts, belief: Floats, is_open: Bools, vi
     """Turn regions by their signs (M,), then single points in them that are wrong."""
     surface.turn((belief < 0)[parts.region])
     sure = revote(surface) * np.abs(belief)[parts.region]
-    flips, strength = contradicted(surface, np.where(parts.speck, -1, np.arange(len(parts.speck)))[parts.component])
+    objects = np.where(parts.speck, -1, np.arange(len(parts.speck), dtype=np.int32))
+    flips, strength = contradicted(surface, objects[parts.component])
     surface.turn(flips)
     sure *= strength
     open_points = is_open[parts.component]

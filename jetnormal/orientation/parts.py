@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.orientation.agreement import Surface, couplings, regions
+from jetnormal.orientation.agreement import Labels, Surface, couplings, regions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,9 +29,9 @@ class Parts:
         speck: (C,) whether a component is too small to tell its outside; not if all are.
     """
 
-    region: Ints
-    owner: Ints
-    component: Ints
+    region: Labels
+    owner: Labels
+    component: Labels
     coupling: Any
     speck: Bools
 
@@ -59,7 +59,7 @@ def divide(surface: Surface) -> tuple[Bools, Parts]:
 
     flips, region = regions(surface)
     coupling = couplings(surface, region, flips)
-    owner = connected_components(coupling, directed=False)[1].astype(np.int64)
+    owner = connected_components(coupling, directed=False)[1].astype(np.int32)
     component = owner[region]
     small = np.bincount(component) < SPECK
     return flips, Parts(region, owner, component, coupling, small & ~small.all())

@@ -113,7 +113,7 @@ def _hidden(surface: Surface) -> Bools:
     ends = surface.neighbors.ravel(), np.arange(count + 1) * degree
     graph = csr_matrix((np.ones(count * degree), *ends), (count, count))
     component = connected_components(graph, directed=False)[1]
-    seen = look(surface, np.zeros(count, dtype=np.int64), alone=True).total > 0
+    seen = look(surface, np.zeros(count, dtype=np.int32), alone=True).total > 0
     near = (seen + seen[surface.neighbors].sum(axis=1)) / (1 + degree)
     return np.asarray((near < SEEN_NEIGHBORS) & (component == np.bincount(component).argmax()))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.orientation.agreement import Surface
+from jetnormal.orientation.agreement import Labels, Surface
 from jetnormal.orientation.kernels.views import see
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,7 @@ class Votes:
     upward: Floats
 
 
-def look(surface: Surface, component: Ints, *, alone: bool) -> Votes:
+def look(surface: Surface, component: Labels, *, alone: bool) -> Votes:
     """Look at all points of a surface from all around.
 
     Pixels are as large as points are apart: sparse parts are drawn into images with large pixels, dense parts into
@@ -66,12 +66,11 @@ def look(surface: Surface, component: Ints, *, alone: bool) -> Votes:
     unit, level = _levels(surface, component)
     label = component if alone else np.zeros_like(component)
     hides, lowest, highest = _pictures(level, label)
-    level -= lowest.min()
+    level = (level - lowest.min()).astype(np.int16)
     unit *= 2.0 ** float(lowest.min())
     lowest, highest = lowest - lowest.min(), highest - lowest.min()
     size = 1 << int(SPARE_PIXELS * max(1, hides.sum())).bit_length()
     key, top, bottom = np.zeros(size, dtype=np.uint64), np.empty(size), np.empty(size)
-    depth, row, column = np.empty(len(level)), np.empty_like(level), np.empty_like(level)
     votes = np.zeros((len(level), 3))
     limit = FARTHEST * unit * PIXEL_SPACINGS
     is_far = max(surface.points.max(), -surface.points.min()) > limit
@@ -79,12 +78,12 @@ def look(surface: Surface, component: Ints, *, alone: bool) -> Votes:
     for up in directions()[: VIEWS // 2]:
         see(
             points, surface.normals, _axes(up), PIXEL_SPACINGS * unit, MIN_COSINE, surface.roughness, SLACK,
-            level, hides, label, lowest, highest, key, top, bottom, depth, row, column, votes,
+            level, hides, label, lowest, highest, key, top, bottom, votes,
         )  # fmt: skip
     return Votes(*votes.T)
 
 
-def _levels(surface: Surface, component: Ints) -> tuple[float, Ints]:
+def _levels(surface: Surface, component: Labels) -> tuple[float, Ints]:
     """Find a spacing and, for each point (N,), how many times it is to be doubled for the point's pixels.
 
     That is the median spacing of the point's component, or more by up to MAX_OCTAVES where the component is sparser.
@@ -102,7 +101,7 @@ def _levels(surface: Surface, component: Ints) -> tuple[float, Ints]:
     return unit, base[component] + np.minimum(octave, MAX_OCTAVES + 1).astype(np.int64)
 
 
-def _pictures(level: Ints, label: Ints) -> tuple[Bools, Ints, Ints]:
+def _pictures(level: Ints, label: Labels) -> tuple[Bools, Ints, Ints]:
     """Which points (N,) hide others, and the lowest and highest level (L,) of those with each label.
 
     Levels with few points of a label are taken for those of stray points.
@@ -110,7 +109,7 @@ def _pictures(level: Ints, label: Ints) -> tuple[Bools, Ints, Ints]:
     count = int(label.max()) + 1
     low = int(level.min())
     width = int(level.max()) - low + 1
-    place = label * width + level - low
+    place = label.astype(np.int64) * width + level - low
     filled = np.bincount(place, minlength=count * width)
     sizes = np.bincount(label, minlength=count)
     usual = filled.reshape(count, width) >= np.maximum(LEVEL_SHARE * sizes, 1)[:, None]
@@ -126,7 +125,7 @@ def _axes(direction: Floats) -> Floats:
     return np.stack([side, np.cross(direction, side), direction])
 
 
-def extremes_look_inward(surface: Surface, component: Ints, stray: Bools) -> Bools:
+def extremes_look_inward(surface: Surface, component: Labels, stray: Bools) -> Bools:
     """Which components (C,) have normals that look inward at the points that are farthest out; an open sheet, down.
 
     In every direction D, a component's farthest points vote n.D, which is positive for an outward normal

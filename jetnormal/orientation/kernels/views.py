@@ -26,10 +26,19 @@ def pixel_code(row: int, column: int, level: int, label: int) -> Any:
 
 
 @compiled
+def project(points: Floats, i: int, axes: Floats, unit: float) -> Any:
+    """The row and column of point i in a picture with such axes and pixels, and its height over the picture."""
+    x, y, z = points[i, 0], points[i, 1], points[i, 2]
+    row = np.int64(np.floor((x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2]) / unit))
+    column = np.int64(np.floor((x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2]) / unit))
+    return row, column, x * axes[2, 0] + y * axes[2, 1] + z * axes[2, 2]
+
+
+@compiled
 def see(
     points: Floats, normals: Floats, axes: Floats, unit: float, least: float, slack: Floats, rough: float,
-    level: Ints, hides: Bools, label: Ints, lowest: Ints, highest: Ints,
-    key: Any, top: Floats, bottom: Floats, depth: Floats, row: Ints, column: Ints, votes: Floats,
+    level: NDArray[np.int16], hides: Bools, label: NDArray[np.int32], lowest: Ints, highest: Ints,
+    key: Any, top: Floats, bottom: Floats, votes: Floats,
 ) -> None:  # fmt: skip
     """Look at N points along one direction D and against it, and add to their votes.
 
@@ -48,42 +57,40 @@ def see(
         label: (N,) in [0, L): which points share pictures.
         lowest, highest: (L,) the levels of each label's pictures.
         key, top, bottom: (S,) uint64 and float64 tables, overwritten; S is a power of two, above the points that hide.
-        depth, row, column: (N,) overwritten.
         votes: (N, 3) sums of n.D and of |n.D| over the views that see a point, and of n.D over D alone.
     """
     mask = np.uint64(len(key) - 1)
     key[:] = 0
     for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        depth[i] = x * axes[2, 0] + y * axes[2, 1] + z * axes[2, 2]
-        row[i] = np.int64(np.floor((x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2]) / unit))
-        column[i] = np.int64(np.floor((x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2]) / unit))
         if not hides[i]:
             continue
-        code = pixel_code(row[i] >> level[i], column[i] >> level[i], level[i], label[i])
+        row, column, height = project(points, i, axes, unit)
+        own = np.int64(level[i])
+        code = pixel_code(row >> own, column >> own, own, np.int64(label[i]))
         slot = code & mask
         while key[slot] != 0 and key[slot] != code:
             slot = (slot + np.uint64(1)) & mask
         if key[slot] == 0:
             key[slot] = code
-            top[slot] = bottom[slot] = depth[i]
+            top[slot] = bottom[slot] = height
         else:
-            top[slot] = max(top[slot], depth[i])
-            bottom[slot] = min(bottom[slot], depth[i])
+            top[slot] = max(top[slot], height)
+            bottom[slot] = min(bottom[slot], height)
     for i in range(len(points)):
         cosine = normals[i, 0] * axes[2, 0] + normals[i, 1] * axes[2, 1] + normals[i, 2] * axes[2, 2]
         if abs(cosine) <= least:
             continue
+        row, column, height = project(points, i, axes, unit)
         above, below = True, True
         for at in range(lowest[label[i]], highest[label[i]] + 1):
-            code = pixel_code(row[i] >> at, column[i] >> at, at, label[i])
+            code = pixel_code(row >> at, column >> at, at, np.int64(label[i]))
             slot = code & mask
             while key[slot] != 0 and key[slot] != code:
                 slot = (slot + np.uint64(1)) & mask
             if key[slot] != 0:
                 reach = max(slack[i], rough * unit * 2.0**at)
-                above = above and depth[i] >= top[slot] - reach
-                below = below and depth[i] <= bottom[slot] + reach
+                above = above and height >= top[slot] - reach
+                below = below and height <= bottom[slot] + reach
         if above:
             votes[i, 0] += cosine
             votes[i, 1] += abs(cosine)
