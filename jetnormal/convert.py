@@ -1,7 +1,7 @@
-"""Points as other libraries hold them, to clouds and back; none of those libraries is imported here.
+"""Convert points of other libraries to clouds and back, without importing those libraries.
 
-Taken are NumPy arrays and what NumPy can make one of, PyTorch tensors, Open3D's clouds of both kinds, and the clouds
-and meshes of trimesh and PyVista, of which the vertices count.
+NumPy arrays and what NumPy makes into one, PyTorch tensors, both kinds of Open3D clouds, and the clouds and meshes of
+trimesh and PyVista, of which the vertices are taken.
 """
 
 from __future__ import annotations

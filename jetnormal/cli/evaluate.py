@@ -71,9 +71,9 @@ def evaluate(
 
     PGP is the share of points whose error is below 5 or 10 degrees, and AUC30 the area under the curve of that
     share up to 30 degrees. The RMSE to clean compares noisy clouds with the nearest normal of their clean twin.
-    --orient adds the RMSE with signs and the share of right signs, each for the better of the two global signs.
-    Points/s counts the normals estimated and the time from points to normals. Work that is done once for all points
-    (search structure, encoding of a whole cloud) weighs on the few of NAME.pidx: --all-points tells the speed.
+    --orient adds the RMSE with signs and the share of right signs; if flipping the whole cloud makes them better, it is
+    flipped. Points/s is the number of estimated normals over the seconds from points to normals. Use --all-points to
+    measure speed: with the few points of NAME.pidx, work that is done once for each cloud takes most of the time.
 
     Settings of a model follow a colon: k, order (jet) and iterations (networks), or small, medium or large for the
     neighborhoods of the literature (pca: 18, 112, 450 points; jet of order 2: 18, 122, 450). --model traditional

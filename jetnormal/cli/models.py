@@ -44,7 +44,7 @@ def models(
 ) -> None:
     """List models: parameters, size, operations, time and error.
 
-    GFLOP/point counts the matrix products of a patch, or of a whole cloud over its points, a multiply-add as two
+    GFLOP/point counts the matrix products for a patch, or for a cloud divided by its points; a multiply-add is two
     operations. ms/point is the whole estimation on this machine. RMSE is what the file records of its training: degrees
     on the validation clouds.
 

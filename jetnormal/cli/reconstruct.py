@@ -32,9 +32,9 @@ def reconstruct(
     The normals in INPUT are used if it has some; otherwise they are estimated first. The mesh has the colors
     of the cloud and its coordinates, and no degenerate faces, double vertices or specks.
 
-    A surface is taken as open, and cut where the points end, if more than 2 % of its area bridges gaps:
-    areas farther from all points than three times the radius around the nearest one that holds eight others.
-    A closed surface stays whole, and --trim overrules both.
+    A surface counts as open if more than 2 % of its area bridges gaps: it is farther from all points than three times
+    the radius around the nearest one that holds eight others. An open surface is cut where the points end, a closed one
+    stays whole; --trim overrules both.
 
     On one thread the same INPUT gives the same bytes; on more, the vertices come in another order each time.
 

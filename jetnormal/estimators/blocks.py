@@ -1,7 +1,7 @@
 """A large cloud in blocks, each with a halo around it, for estimators that look at whole clouds in bounded memory.
 
-How far the halo reaches is said by the estimator. How many points are looked at together, and what memory these take,
-is said here, for blocks of a cloud in memory and for tiles of one on the disk.
+The estimator says how far the halo reaches. This module says how many points are computed together and how much
+memory they take, for blocks of a cloud in memory and for tiles of one on the disk.
 """
 
 from __future__ import annotations

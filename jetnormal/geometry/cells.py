@@ -1,7 +1,7 @@
 """A k-d tree over a sample of a cloud, whose cells hold about equally many points however dense they are.
 
-The sample is told by the points themselves, neither by their order nor by the unit of length, so that whoever has all
-points and whoever reads them piece by piece find the same cells.
+Which points are in the sample depends on their coordinates, not on their order or unit of length. So a cloud in memory
+and the same cloud read piece by piece get the same cells.
 """
 
 from __future__ import annotations

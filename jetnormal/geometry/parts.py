@@ -1,4 +1,4 @@
-"""Parts of a cloud so far apart that none can say anything about the surface of another."""
+"""Parts of a cloud that are so far apart that the surface of one says nothing about that of another."""
 
 from __future__ import annotations
 

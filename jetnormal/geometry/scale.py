@@ -1,4 +1,4 @@
-"""Clouds of any size at one: what comes after may round to float32 and square."""
+"""Scale clouds of any size to size one, so that later steps may round to float32 and square."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The training of any network: steps of the optimizer, epochs, validation, resumable at any step.
 
-What is particular to a kind of network is its task: how its samples are drawn, what is lost on them, how it is
+What differs between kinds of networks is the task: how samples are drawn, what the loss is, how the network is
 validated (`training.patch_task`, `training.cloud_task`).
 """
 
