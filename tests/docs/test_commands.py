@@ -19,6 +19,7 @@ from shapes import cube, sphere
 
 from jetnormal import Cloud, Mesh, write
 from jetnormal.cli.app import app
+from jetnormal.errors import InputError
 from jetnormal.formats.meshes import write_mesh
 from jetnormal.support.open3d_loader import import_open3d
 
@@ -108,6 +109,21 @@ def test_links_within_the_repository_lead_somewhere():
     for page in ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", *CARDS, *others, *pages]:
         for link in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
             assert "://" in link or (ROOT / page).parent.joinpath(link).exists(), f"{page}: {link}"
+
+
+def test_the_example_of_a_format_keeps_points_and_normals(tmp_path):
+    names: dict = {}
+    exec(next(text for _, text in blocks("docs/formats.md", "python") if "FORMATS" in text), names)
+    (rows,) = names["FORMATS"]
+    path = tmp_path / "a.rows"
+    with path.open("wb") as stream:
+        lost = rows.write(Cloud(sphere(20), sphere(20), {"label": np.arange(20)}), stream, "binary")
+    assert len(lost) == 1 and "label" in lost[0]
+    np.testing.assert_array_equal(rows.read(path).points, sphere(20))
+    np.testing.assert_allclose(rows.read(path).normals, sphere(20), atol=1e-7)
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(InputError, match="damaged"):
+        rows.read(path)
 
 
 def test_the_readme_is_short_and_its_numbers_stand_in_the_results():
