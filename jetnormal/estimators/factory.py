@@ -96,7 +96,7 @@ def make_estimator(
     kind = _KINDS[name] if path is None else _kind_of(path)
     if not kind.runs_on_gpu and device not in ("auto", "cpu"):
         raise UsageError(f"the model {name} runs on the CPU: leave out the option device, or choose a network")
-    with named_extras():
+    with named_extras(f"the model {name}" if device in ("auto", "cpu") else f"the model {name} on {device}"):
         return kind.build(model, path, _only(chosen, name, kind.settings), Resources(batch_size, device, threads))
 
 

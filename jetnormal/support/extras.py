@@ -17,8 +17,11 @@ def advice(library: str) -> str:
 
 
 @contextmanager
-def named_extras() -> Iterator[None]:
+def named_extras(user: str = "this command") -> Iterator[None]:
     """Let the failed import of a library name the extra that installs it.
+
+    Args:
+        user: what imports the library, as the message calls it.
 
     Raises:
         ResourceError: a library that is an extra is missing.
@@ -28,4 +31,4 @@ def named_extras() -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name not in _EXTRAS:
             raise
-        raise ResourceError(f"this needs {_EXTRAS[error.name][1]}, but {advice(error.name)}") from error
+        raise ResourceError(f"{user} needs {_EXTRAS[error.name][1]}, but {advice(error.name)}") from error

@@ -54,6 +54,8 @@ def test_the_default_model_needs_numpy_scipy_and_numba_only(tmp_path):
     errors = [line for line in done.stderr.splitlines() if "error:" in line]
     for error, extra in zip(errors, filter(None, COMMANDS.values()), strict=True):
         assert f"pip install 'jetnormal[{extra}]'" in error
+    assert "the model jet needs PyTorch, but" in errors[0] and "the model cloudfit on cuda needs PyTorch" in errors[2]
+    assert "this command needs PyTorch" in errors[-1]
     cloud = jetnormal.read(tmp_path / "out.ply")
     assert cloud.normals is not None
     assert np.median((cloud.normals * cloud.points).sum(axis=1)) > 0.95
