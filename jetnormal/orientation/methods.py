@@ -162,7 +162,10 @@ def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Out
 
 def _probability(found: Outcome, method: Method) -> Floats:
     """The probability that each sign is right (N,)."""
-    if method == "mst" or method == "terrain":
+    if method == "terrain":
         return probability(found.sure, method)
+    outward = probability(found.sure, "outward")
+    if found.tree is not None:
+        return np.where(found.tree, probability(found.sure, "mst"), outward)
     seen = probability(found.sure, "view" if found.view is not None and found.view.certain else "guess")
-    return np.where(found.open, seen, probability(found.sure, "outward"))
+    return np.where(found.open, seen, outward)

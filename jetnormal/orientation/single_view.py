@@ -70,11 +70,13 @@ class Outcome:
         sure: (N,) how sure the signs are, 0 to 1.
         open: (N,) which points are on a surface without an outside.
         view: the side from which the open surfaces were seen; None if that was not asked for, or not found.
+        tree: (N,) which signs a spanning tree carried; None for none.
     """
 
     sure: Floats
     open: Bools
     view: View | None = None
+    tree: Bools | None = None
 
 
 def as_seen(surface: Surface, parts: Parts, among: Bools) -> View:

@@ -48,7 +48,7 @@ def grow_tree(surface: Surface) -> Outcome:
     stray &= crowd[parts.component] > 0
     inward = extremes_look_inward(surface, parts.component, stray)
     surface.turn((inward & ~walled)[parts.component])
-    return Outcome(sure * strength, np.zeros(len(sure), dtype=np.bool_))
+    return Outcome(sure * strength, np.zeros(len(sure), dtype=np.bool_), tree=~walled[parts.component])
 
 
 def _behind_walls(surface: Surface, parts: Parts) -> tuple[Bools, Floats]:
