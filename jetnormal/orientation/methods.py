@@ -138,7 +138,7 @@ def _turned_up(normals: NDArray[Any]) -> Floats:
 
 def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Outcome]:
     """Which unit normals (N, 3) to flip, none of which looks down, and what was found; N >= 1. The points are moved."""
-    middle = np.partition(points, len(points) // 2, axis=0)[len(points) // 2]  # whatever strays are where
+    middle = np.partition(points, len(points) // 2, axis=0)[len(points) // 2].copy()  # whatever strays are where
     points -= middle  # far from the origin, projections would be coarse
     first, copy_of = distinct(points)
     order = spatial_order(points[first])  # neighbors are near in memory, too
