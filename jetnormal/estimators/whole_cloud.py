@@ -18,10 +18,9 @@ from jetnormal.geometry.neighbors import COLLINEAR
 from jetnormal.geometry.pyramid import NEIGHBORS, Pyramid, build_pyramid
 from jetnormal.networks.cloudfit.config import CloudFitConfig
 from jetnormal.networks.cloudfit.curvature import add_equations, principal
-from jetnormal.networks.cloudfit.edge_kernels import pool_messages
 from jetnormal.networks.cloudfit.inference import Found, Inference
 from jetnormal.support.device import available_cores
-from jetnormal.support.report import Advance, logger
+from jetnormal.support.report import Advance
 
 if TYPE_CHECKING:
     from jetnormal.networks.cloudfit.network import CloudFit
@@ -124,8 +123,6 @@ def cloud_estimator(name: str, path: Path, device: str = "cpu", threads: int | N
     """
     if device == "cpu":
         inference = Inference.load(path)
-        if not pool_messages.is_kept:
-            logger.info("compiling the loops of %s for this machine: some seconds, this once", name)
         return CloudEstimator(name, inference.config, inference, threads)
     from jetnormal.networks.checkpoint import load_model
     from jetnormal.networks.cloudfit.network import CloudFit

@@ -22,6 +22,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jetnormal.support.report import logger
+
 FASTMATH = ("contract", "reassoc", "nsz")  # NaN and infinity mean what they mean
 OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -74,11 +76,6 @@ class Compiled:
             call = self._prepare(signature)
         call(*values)
 
-    @property
-    def is_kept(self) -> bool:
-        """Whether machine code of the function is there from an earlier process; perhaps of an earlier version."""
-        return any(any(folder.glob(f"{self._name}-*.o")) for folder in _folders())
-
     @functools.cached_property
     def dispatcher(self) -> Any:
         """The function as numba knows it."""
@@ -101,6 +98,7 @@ class Compiled:
                 name = f"{self._name}-{hashlib.sha256(said.encode()).hexdigest()[:24]}.o"
                 code = _kept(name)
                 if code is None:
+                    _announce()
                     code = self._compile(signature)
                     _keep(name, code)
                 self._ready[signature] = _load(code, signature)
@@ -139,6 +137,11 @@ def compiled(function: Callable[..., Any]) -> Any:
     written, each process compiles anew.
     """
     return Compiled(function)
+
+
+@functools.cache
+def _announce() -> None:
+    logger.info("compiling loops for this machine: some seconds, this once")
 
 
 def _convention(signature: tuple[_Kind, ...]) -> list[str]:

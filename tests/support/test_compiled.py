@@ -1,5 +1,6 @@
 """Compiled functions: their arguments, and the machine code that is kept for later processes."""
 
+import functools
 import re
 import subprocess
 import sys
@@ -50,12 +51,9 @@ def test_arrays_of_all_types_and_numbers_are_taken(dtype):
 
 def test_another_function_loads_the_code_that_was_kept(folder, monkeypatch: pytest.MonkeyPatch):
     values, sums = np.arange(12.0).reshape(4, 3), np.zeros(4)
-    first, second = fresh(), fresh()
-    assert not first.is_kept
-    first(values, 3, 0.0, sums)
-    assert second.is_kept
+    fresh()(values, 3, 0.0, sums)
     monkeypatch.setattr(module.Compiled, "_compile", None)
-    second(values, 3, 0.0, sums)
+    fresh()(values, 3, 0.0, sums)
     np.testing.assert_allclose(sums, 4 * values.sum(axis=1))
 
 
@@ -77,6 +75,16 @@ def test_damaged_code_is_compiled_again(folder):
         fresh()(values, 1, 0.0, sums)
         assert len(file.read_bytes()) == len(whole)
     assert sums[0] == 6 * 2
+
+
+def test_says_once_what_takes_so_long(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
+    monkeypatch.setattr(module, "_announce", functools.cache(module._announce.__wrapped__))
+    with caplog.at_level("INFO", "jetnormal"):
+        for dtype in (np.float32, np.float64, np.float64):
+            fresh()(np.ones((1, 1), dtype), 1, 0.0, np.zeros(1))
+    assert [record.message for record in caplog.records] == [
+        "compiling loops for this machine: some seconds, this once"
+    ]
 
 
 def test_code_lies_in_the_folder_of_the_user(tmp_path, monkeypatch: pytest.MonkeyPatch):

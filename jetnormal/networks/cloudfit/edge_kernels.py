@@ -48,11 +48,11 @@ def edge_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, out: F32) -> None:
     p (N, C), u (M, C), nbr (N, k), q (N, k, 12), w (12, C). The first half of the channels of out (N, C) is the
     maximum over j, the second half is the mean.
     """
-    pool_messages(p, u, nbr, q, w, np.empty((2, p.shape[1]), np.float32), out)
+    _pool_messages(p, u, nbr, q, w, np.empty((2, p.shape[1]), np.float32), out)
 
 
 @compiled
-def pool_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, work: F32, out: F32) -> None:
+def _pool_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, work: F32, out: F32) -> None:
     """`edge_messages` with memory to work in, (2, C)."""
     size = p.shape[1]
     half = size // 2
