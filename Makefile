@@ -35,7 +35,7 @@ test: lint browser
 	$(BIN)/python -m pytest --durations=10
 
 quick: lint
-	$(BIN)/python -m pytest -q tests/formats tests/geometry tests/support
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q tests/formats tests/geometry tests/support  # small arrays: threads only wait
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
