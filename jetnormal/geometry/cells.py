@@ -59,6 +59,14 @@ def halvings(points: int) -> int:
 
 def in_sample(points: Floats, times: int) -> Bools:
     """Tell which points (N, 3) are in a sample: one of 2^times, by the digits of their coordinates."""
+    return np.asarray(mixed_digits(points) & np.uint64((1 << times) - 1) == 0)
+
+
+def mixed_digits(points: Floats) -> NDArray[np.uint64]:
+    """Mix the digits of the coordinates of each point (N, 3) to a number (N,) that looks random.
+
+    It does not depend on the unit of length, if that changes by powers of two.
+    """
     digits = np.ascontiguousarray(points).view(np.uint64) & _MANTISSA  # without sign and unit
     mixed = np.zeros(len(points), dtype=np.uint64)
     for axis in range(3):
@@ -66,7 +74,7 @@ def in_sample(points: Floats, times: int) -> Bools:
         mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(_MIXERS[1])
         mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(_MIXERS[2])
         mixed ^= mixed >> np.uint64(31)
-    return np.asarray(mixed & np.uint64((1 << times) - 1) == 0)
+    return mixed
 
 
 def cut_into_cells(sample: Floats, times: int, largest: int) -> Cells:

@@ -29,6 +29,7 @@ from jetnormal.orientation.sensors import SensorOptions, Sensors, file_sensors, 
 Floats = NDArray[np.float64]
 
 ONE_SIDE = 0.97  # of the open points: a surface that a sensor saw shows it one side
+ENOUGH = 1_000_000  # points; from more, "auto" takes so many to decide by
 FARTHEST = 1e150  # of a sensor, in units of the cloud's size: squares must be finite
 OPEN_SHARE = 0.05  # of the points; below it, they are specks beside a closed surface
 
@@ -136,7 +137,8 @@ def settle(
         unseen = 0 if places.ndim == 1 else int((~np.isfinite(places).all(axis=1)).sum())
         return orientation, replace(_decision(orientation, asked, "viewpoint", sensors.reason), unseen=unseen)
     if asked == "auto":
-        return _by_evidence(points, normals, source)
+        decide = _by_evidence if len(points) <= ENOUGH else _by_part
+        return decide(points, normals, source)
     orientation = choose_signs(points, normals, asked)  # type: ignore[arg-type]
     return orientation, _decision(orientation, asked, asked, "it was asked for")
 
@@ -210,6 +212,34 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
     used, reason = ("global", "up where open") if view is None else ("view", "whose borders lean a little away from it")
     decision = _decision(orientation, "auto", used, f"a guess: {share}, {reason}")
     return orientation, replace(decision, guessed=True)
+
+
+def _by_part(points: Floats, normals: NDArray[Any], source: Source) -> tuple[Orientation, Decision]:
+    """Decide by the shape of the thinned cloud, whose signs are carried to all points.
+
+    What is open, or how borders lean, depends on how dense a cloud is. Clouds in tiles are thinned to the same points.
+    """
+    from jetnormal.geometry.neighbors import distinct
+    from jetnormal.geometry.thinning import least, ranks
+    from jetnormal.orientation.carrying import Thinned, carry_signs
+
+    unit = _unit(normals)
+    rows = np.flatnonzero(np.isfinite(points).all(axis=1) & unit.any(axis=1))
+    first, copies = distinct(points[rows])
+    places, directions = points[rows[first]], unit[rows[first]]
+    del unit
+    part = least(ranks(places, places[:0]), ENOUGH)
+    told, decision = _by_evidence(places[part], directions[part], source)
+    thinned = Thinned(places[part], told.normals, told.confidence.astype(np.float64))
+    flips, sure = carry_signs(places, directions, thinned)
+    directions[flips] *= -1
+    turned, confidence = normals.copy(), np.zeros(len(points), np.float32)
+    turned[rows[np.einsum("nd,nd->n", normals[rows], directions[copies]) < 0]] *= -1  # copies follow the first one
+    confidence[rows] = sure[copies]
+    is_open = np.zeros(len(points), dtype=np.bool_)
+    is_open[rows[first[part]]] = told.open
+    orientation = Orientation(turned, confidence, is_open, told.view)
+    return orientation, replace(decision, confidence=round(float(confidence.mean()), 4))
 
 
 def _closed(points: Floats, orientation: Orientation) -> tuple[Orientation, Decision]:

@@ -21,7 +21,9 @@ from jetnormal.jobs import memory
 from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.memory import Room
 from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions
+from jetnormal.jobs.tiled import thinning
 from jetnormal.jobs.tiled.run import estimate_in_tiles
+from jetnormal.orientation import policy
 
 JET = EstimateOptions("jet:k=20,order=2", confidence=True, curvature=True, sign_confidence=True)
 TILE = 1200
@@ -184,3 +186,18 @@ def test_an_output_that_is_written_again_gets_the_signs_of_its_own_cloud(tmp_pat
         in_tiles(tmp_path / name, target, overwrite=True)
         estimate_file(tmp_path / name, tmp_path / "whole.ply", JET, overwrite=True)
         np.testing.assert_allclose(read(target).normals, read(tmp_path / "whole.ply").normals, atol=1e-6)
+
+
+def test_signs_of_many_points_are_decided_by_the_same_part(tmp_path, monkeypatch):
+    """A shallow bowl, whose openness and borders depend on how dense it is: tiles and the whole are thinned alike."""
+    for module in (policy, thinning):
+        monkeypatch.setattr(module, "ENOUGH", 1500)
+    points = sphere_cloud(12_000).points
+    points = points[points[:, 2] < -0.3]
+    write(Cloud(points), tmp_path / "a.ply")
+    first = estimate_file(tmp_path / "a.ply", tmp_path / "whole.ply", JET)
+    second = in_tiles(tmp_path / "a.ply", tmp_path / "tiled.ply")
+    assert second["tiles"]["count"] >= 4
+    assert {**second["orient"], "confidence": 0} == {**first["orient"], "confidence": 0}
+    a, b = read(tmp_path / "whole.ply").normals, read(tmp_path / "tiled.ply").normals
+    assert (np.einsum("nd,nd->n", a, b) > 0).all()

@@ -13,6 +13,7 @@ from jetnormal.errors import InputError, UsageError
 from jetnormal.geometry.metrics import oriented_accuracy
 from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.options import EstimateOptions
+from jetnormal.orientation import policy
 from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.grazing import GRAZING
 from jetnormal.orientation.policy import find_sensors, orient, settle
@@ -209,3 +210,20 @@ def test_the_public_call_decides_as_estimate_does():
     np.testing.assert_array_equal(orient(points, scrambled, viewpoint=points * 0), -points)
     with pytest.raises(InputError, match="need normals"):
         orient(points)
+
+
+def test_many_points_are_decided_by_a_part(monkeypatch):
+    """With copies, lengths, and rows without a point or a direction; the signs that come in do not matter."""
+    monkeypatch.setattr(policy, "ENOUGH", 1000)
+    points = np.concatenate([sphere(6000), sphere(6000)[:50]])
+    normals = np.random.default_rng(1).uniform(0.5, 2, (len(points), 1)) * points
+    points[7], normals[8] = np.nan, 0
+    scrambled = normals * np.random.default_rng(2).choice([-1.0, 1.0], (len(points), 1))
+    known = np.isfinite(points).all(axis=1)
+    orientation, decision = settle(points[known], scrambled[known], "auto", None, Source())
+    right = np.einsum("nd,nd->n", orientation.normals, points[known]) > 0
+    assert decision.used == "global" and decision.confidence > 0.9
+    assert right.sum() == known.sum() - 1 and orientation.confidence[7] == 0  # the one without a direction
+    np.testing.assert_array_equal(np.abs(orientation.normals), np.abs(normals[known]))
+    again, _ = settle(points[known], -scrambled[known], "auto", None, Source())
+    np.testing.assert_array_equal(again.normals, orientation.normals)

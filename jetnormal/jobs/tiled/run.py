@@ -156,8 +156,7 @@ class _Job:
         on_disk = sum(file.stat().st_size for file in self.store.folder.iterdir())
         with self.timer.stage("write"):
             merge.write(self.stream, target, files, overwrite=overwrite)
-        if signs_are_local(plan, self.options):
-            decision = replace(decision, confidence=merge.confidence)
+        decision = replace(decision, confidence=merge.confidence)
         seconds = self.timer.seconds
         busy = seconds["estimate"] + seconds["orient"]
         warnings = [f"{self.source}: {note}" for note in self._about.notes]

@@ -7,7 +7,7 @@ plan.json            the tiles; there once all points are in them
 00012.rows           (n,) int64, which rows of the input they are
 00012.sensors        (n, 3) float64, where each was seen from, if that is known for each
 00012.found.npy      (n,) FOUND, the estimator's directions
-00012.sample.npy     rows of the tile that may go into the thinned cloud
+00012.sample.npy     (s,) SAMPLE, rows of the tile that may go into the thinned cloud
 00012.json           what the estimator said
 thinned.npz          the thinned cloud with signs
 decision.json        how they were chosen
@@ -31,6 +31,7 @@ from jetnormal.formats.atomic import atomic_write
 Floats = NDArray[np.float64]
 
 FOUND = np.dtype([("normal", "f4", 3), ("confidence", "f4"), ("curvatures", "f4", 2)])
+SAMPLE = np.dtype([("row", "i8"), ("rank", "f8")])
 SIGNED = np.dtype([("flip", "?"), ("sure", "f4")])
 _RAW = {"points": (np.dtype(np.float64), (3,)), "rows": (np.dtype(np.int64), ()), "sensors": (np.dtype("f8"), (3,))}
 

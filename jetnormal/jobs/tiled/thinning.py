@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from jetnormal.cloud import Source
 from jetnormal.geometry.neighbors import distinct
+from jetnormal.geometry.thinning import least
 from jetnormal.jobs.options import EstimateOptions
 from jetnormal.jobs.tiled.plan import Plan
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.jobs.tiled.work import FIND, THINNED
-from jetnormal.orientation.policy import Decision, settle
+from jetnormal.orientation.policy import ENOUGH, Decision, settle
 
 DECISION = "decision"
 
@@ -34,6 +35,8 @@ def settle_signs(store: Store, plan: Plan, options: EstimateOptions, source: Sou
     if known is not None:
         return Decision(**known)
     points, normals = [], []
+    if options.orient == "auto":
+        most = min(most, ENOUGH)
     for tile, rows in enumerate(_chosen(store, len(plan.counts), most)):
         points.append(store.raw("points", tile)[rows])
         normals.append(store.load(FIND, tile)["normal"][rows])
@@ -48,13 +51,14 @@ def settle_signs(store: Store, plan: Plan, options: EstimateOptions, source: Sou
 
 
 def _chosen(store: Store, tiles: int, most: int) -> Iterator[NDArray[np.int64]]:
-    """The rows of each tile that go into the thinned cloud: of a tile where points are far apart, more."""
+    """The rows of each tile that go into the thinned cloud: those with the least ranks of all."""
     samples = [store.load("sample", tile) for tile in range(tiles)]
-    spread = np.array([(store.read_json(f"{tile:05}") or {})["spread"] for tile in range(tiles)])
-    enough = sum(map(len, samples)) <= most
-    for sample, share in zip(samples, spread / max(spread.sum(), 1e-300), strict=True):
-        count = len(sample) if enough else min(len(sample), max(1, round(most * share)))
-        yield np.sort(sample[np.linspace(0, len(sample) - 1, count).astype(np.int64)])
+    lowest: NDArray[np.float64] = np.empty(0)
+    for sample in samples:
+        lowest = np.concatenate([lowest, sample["rank"]])
+        lowest = lowest[least(lowest, most)]
+    for sample in samples:
+        yield np.sort(sample["row"][sample["rank"] <= lowest.max()])
 
 
 def _plain(value: Any) -> Any:

@@ -12,12 +12,13 @@ from jetnormal.cloud import Source
 from jetnormal.estimators.base import Estimator
 from jetnormal.estimators.blocks import Spacing, nearest, seen_from, widest
 from jetnormal.geometry.cells import near_boxes
-from jetnormal.geometry.neighbors import NeighborIndex, distinct, spatial_order
+from jetnormal.geometry.neighbors import distinct
+from jetnormal.geometry.thinning import least, ranks
 from jetnormal.jobs import memory
 from jetnormal.jobs.options import EstimateOptions
 from jetnormal.jobs.prediction import kept_estimator, predict
 from jetnormal.jobs.tiled.plan import Plan
-from jetnormal.jobs.tiled.store import FOUND, SIGNED, Store
+from jetnormal.jobs.tiled.store import FOUND, SAMPLE, SIGNED, Store
 from jetnormal.orientation.carrying import Thinned, carry_signs
 from jetnormal.orientation.policy import settle
 from jetnormal.orientation.sensors import Sensors
@@ -26,7 +27,6 @@ Floats = NDArray[np.float64]
 
 SIGN_REACH = 20.0  # of regions of neighbors that agree, see `estimators.base.Estimator.reach`
 CANDIDATES = 50_000  # points of a tile, at least, that may go into the thinned cloud
-SPACING_NEIGHBORS = 8
 
 SPACING = "spacing"
 THINNED = "thinned"
@@ -68,10 +68,11 @@ def find_directions(store: Store, plan: Plan, tile: int, options: EstimateOption
     found = np.empty(len(core), FOUND)
     found["normal"], found["confidence"] = prediction.normals, prediction.confidence
     found["curvatures"] = np.nan if prediction.curvatures is None else prediction.curvatures
-    candidates, spread = _candidates(core, len(plan.counts), options.threads)
-    store.save("sample", tile, first[candidates])
+    candidates = _candidates(core, seen[len(core) :], len(plan.counts), options.threads)
+    candidates["row"] = first[candidates["row"]]
+    store.save("sample", tile, candidates)
     has_curvature = prediction.curvatures is not None
-    said = {"model": name, "warnings": warnings, "has_curvature": has_curvature, "spread": spread}
+    said = {"model": name, "warnings": warnings, "has_curvature": has_curvature}
     degenerate = ~np.isfinite(found["normal"]).all(axis=1)
     store.write_json(f"{tile:05}", said | {"degenerate": int(degenerate[copies].sum())})
     store.save(FIND, tile, found[copies])
@@ -146,21 +147,13 @@ def _with_neighbors(
     return points[first], normals, sensors, copies[: len(inside)]
 
 
-def _candidates(points: Floats, tiles: int, threads: int | None) -> tuple[NDArray[np.int64], float]:
-    """Rows of one of many tiles that may go into the thinned cloud, in spatial order, and how far the tile spreads.
-
-    The closer points are, the fewer of them. The spread is the sum of their distances to near ones.
-    """
-    most = max(CANDIDATES, 2 * memory.THINNED // tiles)
-    near = min(SPACING_NEIGHBORS + 1, len(points))
-    _, distances = NeighborIndex(points, threads=threads).query(points, near)
-    order = spatial_order(points)
-    weight = np.cumsum(distances[order, -1])
-    if len(points) <= most:
-        return order, float(weight[-1])
-    steps = (np.arange(most) + 0.5) * (weight[-1] / most)
-    rows = order[np.searchsorted(weight, steps)]
-    return rows[np.append(True, rows[1:] != rows[:-1])], float(weight[-1])
+def _candidates(core: Floats, halo: Floats, tiles: int, threads: int | None) -> NDArray[np.void]:
+    """Points of one of many tiles that may go into the thinned cloud, by their numbers in the core."""
+    ranked = ranks(core, halo, threads=threads)
+    rows = least(ranked, max(CANDIDATES, 2 * memory.THINNED // tiles))
+    found = np.empty(len(rows), SAMPLE)
+    found["row"], found["rank"] = rows, ranked[rows]
+    return found
 
 
 def _silent(count: int, note: str = "") -> None:
