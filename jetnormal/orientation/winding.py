@@ -39,6 +39,8 @@ def settle_by_winding(
 ) -> Floats:
     """Find signs of the regions of a closed component (M,), -1 to 1, so that winding numbers are 1/2 on all of them.
 
+    Of more than `MAX_REGIONS`, only the largest have winding numbers.
+
     Args:
         surface: N points; normals are consistent in every region.
         rows: (n,) the component's points.
