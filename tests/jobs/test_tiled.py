@@ -83,7 +83,7 @@ def test_tiles_are_the_blocks_of_a_cloud_in_memory(tmp_path, monkeypatch):
     summary = in_tiles(tmp_path / "a.ply", tmp_path / "tiled.ply", options)
     assert summary["tiles"]["count"] >= 4
     a, b = read(tmp_path / "whole.ply"), read(tmp_path / "tiled.ply")
-    # Tiles and blocks count coordinates from different places: float32 rounds them otherwise, and the network amplifies it.
+    # Tiles and blocks count coordinates from different places: float32 rounds them otherwise.
     np.testing.assert_allclose(b.normals, a.normals, rtol=0, atol=5e-6)
     np.testing.assert_allclose(b.attributes["confidence"], a.attributes["confidence"], rtol=0, atol=1e-5)
 
