@@ -41,7 +41,7 @@ def load_all(path: Path) -> dict[str, NDArray[Any]]:
     """
     if not zipfile.is_zipfile(path):
         with _readable(path, "npy"), path.open("rb") as stream:
-            _check_header(stream, path.stat().st_size, "the array")
+            _read_header(stream, path.stat().st_size, "the array")
             stream.seek(0)
             return {"arr_0": np.lib.format.read_array(stream, allow_pickle=False)}
     with _readable(path, "npz"), zipfile.ZipFile(path) as archive:
@@ -158,11 +158,11 @@ def _load(archive: zipfile.ZipFile, member: str) -> NDArray[Any]:
 
 def _describe(archive: zipfile.ZipFile, member: str) -> Described:
     with archive.open(member) as stream:
-        return _check_header(stream, archive.getinfo(member).file_size, member)
+        return _read_header(stream, archive.getinfo(member).file_size, member)
 
 
-def _check_header(stream: IO[bytes], size: int, name: str) -> Described:
-    """Refuse an array that declares more than there is, before memory is taken for it."""
+def _read_header(stream: IO[bytes], size: int, name: str) -> Described:
+    """Read the header of an array; refuse one that declares more than there is, before memory is taken for it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that a header is of an old form
         version = np.lib.format.read_magic(stream)

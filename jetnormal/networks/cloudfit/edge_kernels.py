@@ -182,11 +182,8 @@ def edge_mlp_backward(
 ) -> None:  # fmt: skip
     """Backpropagate grad (N, k, 3) through `edge_mlp`: add to the gradients of p, r, w, v, b; recompute the values."""
     size = p.shape[1]
-    work, of_v, of_w = (
-        np.empty((2, size), np.float32),
-        np.zeros((3, size), np.float32),
-        np.zeros((12, size), np.float32),
-    )
+    of_v, of_w = np.zeros((3, size), np.float32), np.zeros((12, size), np.float32)
+    work = np.empty((2, size), np.float32)
     _mlp_backward(grad, p, r, nbr, q, w, v, work, of_v, of_w, grad_p, grad_r, grad_w, grad_v, grad_b)
 
 
