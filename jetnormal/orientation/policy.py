@@ -119,7 +119,13 @@ def find_sensors(options: SignOptions, cloud: Cloud) -> Sensors | None:
 
 
 def settle(
-    points: Floats, normals: NDArray[Any], asked: str, sensors: Sensors | None, source: Source
+    points: Floats,
+    normals: NDArray[Any],
+    asked: str,
+    sensors: Sensors | None,
+    source: Source,
+    *,
+    copies: bool = False,
 ) -> tuple[Orientation, Decision]:
     """Settle the signs of normals.
 
@@ -129,6 +135,7 @@ def settle(
         asked: the option `orient`.
         sensors: of these points (`find_sensors`).
         source: what their file says of itself.
+        copies: whether some points may be copies of others.
     """
     points, exponent = unit_scale(points)
     if sensors is not None:
@@ -137,8 +144,9 @@ def settle(
         unseen = 0 if places.ndim == 1 else int((~np.isfinite(places).all(axis=1)).sum())
         return orientation, replace(_decision(orientation, asked, "viewpoint", sensors.reason), unseen=unseen)
     if asked == "auto":
-        decide = _by_evidence if len(points) <= ENOUGH else _by_part
-        return decide(points, normals, source)
+        if len(points) <= ENOUGH:
+            return _by_evidence(points, normals, source)
+        return _by_part(points, normals, source, copies)
     orientation = choose_signs(points, normals, asked)  # type: ignore[arg-type]
     return orientation, _decision(orientation, asked, asked, "it was asked for")
 
@@ -180,7 +188,8 @@ def orient(
     rows = np.flatnonzero(cloud.valid)
     known = None if sensors is None else sensors.of(rows)
     result = given.copy()
-    result[rows] = settle(cloud.points[rows], given[rows], options.orient, known, cloud.source)[0].normals
+    found, _ = settle(cloud.points[rows], given[rows], options.orient, known, cloud.source, copies=True)
+    result[rows] = found.normals
     return result
 
 
@@ -214,7 +223,7 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
     return orientation, replace(decision, guessed=True)
 
 
-def _by_part(points: Floats, normals: NDArray[Any], source: Source) -> tuple[Orientation, Decision]:
+def _by_part(points: Floats, normals: NDArray[Any], source: Source, copies: bool) -> tuple[Orientation, Decision]:
     """Decide by the shape of the thinned cloud, whose signs are carried to all points.
 
     What is open, or how borders lean, depends on how dense a cloud is. Clouds in tiles are thinned to the same points.
@@ -225,7 +234,7 @@ def _by_part(points: Floats, normals: NDArray[Any], source: Source) -> tuple[Ori
 
     unit = _unit(normals)
     rows = np.flatnonzero(np.isfinite(points).all(axis=1) & unit.any(axis=1))
-    first, copies = distinct(points[rows])
+    first, copy_of = distinct(points[rows]) if copies else (np.arange(len(rows)),) * 2
     places, directions = points[rows[first]], unit[rows[first]]
     del unit
     part = least(ranks(places, places[:0]), ENOUGH)
@@ -234,8 +243,8 @@ def _by_part(points: Floats, normals: NDArray[Any], source: Source) -> tuple[Ori
     flips, sure = carry_signs(places, directions, thinned)
     directions[flips] *= -1
     turned, confidence = normals.copy(), np.zeros(len(points), np.float32)
-    turned[rows[np.einsum("nd,nd->n", normals[rows], directions[copies]) < 0]] *= -1  # copies follow the first one
-    confidence[rows] = sure[copies]
+    turned[rows[np.einsum("nd,nd->n", normals[rows], directions[copy_of]) < 0]] *= -1  # copies follow the first one
+    confidence[rows] = sure[copy_of]
     is_open = np.zeros(len(points), dtype=np.bool_)
     is_open[rows[first[part]]] = told.open
     orientation = Orientation(turned, confidence, is_open, told.view)

@@ -220,10 +220,14 @@ def test_many_points_are_decided_by_a_part(monkeypatch):
     points[7], normals[8] = np.nan, 0
     scrambled = normals * np.random.default_rng(2).choice([-1.0, 1.0], (len(points), 1))
     known = np.isfinite(points).all(axis=1)
-    orientation, decision = settle(points[known], scrambled[known], "auto", None, Source())
+    orientation, decision = settle(points[known], scrambled[known], "auto", None, Source(), copies=True)
     right = np.einsum("nd,nd->n", orientation.normals, points[known]) > 0
     assert decision.used == "global" and decision.confidence > 0.9
     assert right.sum() == known.sum() - 1 and orientation.confidence[7] == 0  # the one without a direction
     np.testing.assert_array_equal(np.abs(orientation.normals), np.abs(normals[known]))
-    again, _ = settle(points[known], -scrambled[known], "auto", None, Source())
-    np.testing.assert_array_equal(again.normals, orientation.normals)
+    again = orient(points, -scrambled)
+    np.testing.assert_array_equal(again[known], orientation.normals)
+    np.testing.assert_array_equal(again[~known], -scrambled[~known])
+    distinct = np.flatnonzero(known)[:-50]
+    alone, _ = settle(points[distinct], scrambled[distinct], "auto", None, Source())
+    np.testing.assert_array_equal(alone.normals, orientation.normals[:-50])
