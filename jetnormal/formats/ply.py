@@ -263,8 +263,7 @@ def _vertex_element(columns: Columns, points: int, length_types: dict[str, str])
         length_type = length_types.get(name, "u1")
         if longest > np.iinfo(length_type).max:
             length_type = "u4"
-        kinds = {np.asarray(row).dtype.newbyteorder("=") for row in values}
-        properties.append(Property(name, np.result_type(*kinds).str[1:] if kinds else "f4", length_type))
+        properties.append(Property(name, values[0].dtype.str[1:] if len(values) else "f4", length_type))
     return Element("vertex", points, tuple(properties))
 
 

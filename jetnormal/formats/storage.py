@@ -17,7 +17,7 @@ def to_storable(columns: Columns, types: frozenset[str], *, vectors: bool) -> tu
 
     Args:
         columns: arrays of any type with first axis N; an object array holds a list per point.
-        types: the format's types, such as ``{"u1", "f4"}``, with ``"O"`` if it has lists.
+        types: the format's types, such as ``{"u1", "f4"}``, with ``"O"`` if it has lists of them.
         vectors: whether a column may hold several numbers per point, shape (N, c). Where it may not, c
             columns ``name_0``, ``name_1``... are made of it.
 
@@ -28,15 +28,19 @@ def to_storable(columns: Columns, types: frozenset[str], *, vectors: bool) -> tu
     warnings = []
     unique, unique_parts = UniqueNames(), UniqueNames(columns)
     for name, column in columns.items():
-        values = _stack_lists(column) if column.dtype == object and "O" not in types else column
+        lists = column.dtype == object
+        values = column if not lists else _members(column) if "O" in types else _stack_lists(column)
         if values is None:
             warnings.append(f"attribute {name!r} holds lists of different lengths and is not kept")
-        elif values.dtype.kind not in "biuf" and values.dtype.str[1:] not in types:
+        elif values.dtype.kind not in "biuf":
             warnings.append(f"attribute {name!r} of type {values.dtype} is not kept")
         else:
             fitting = _nearest_type(values, types)
-            if values.dtype != object and not _same_numbers(fitting, values):
+            if not _same_numbers(fitting, values):
                 warnings.append(f"attribute {name!r} of type {values.dtype} is rounded to {fitting.dtype}")
+            if lists and "O" in types:
+                stored[unique.add(name)] = _split(fitting, column)
+                continue
             if fitting.ndim == 1 or vectors:
                 stored[unique.add(name)] = fitting
                 continue
@@ -58,6 +62,24 @@ def _stack_lists(values: NDArray[Any]) -> NDArray[Any] | None:
     if len({np.shape(row) for row in values}) != 1:
         return None
     return np.stack(list(values))
+
+
+def _members(lists: NDArray[Any]) -> NDArray[Any]:
+    """The members of all lists of a column, one after another (M,)."""
+    rows = list(map(np.ravel, lists))
+    full = [row for row in rows if len(row)]  # Python's [] would count as float64
+    return np.concatenate(full or rows or [np.empty(0, np.float32)])
+
+
+def _split(members: NDArray[Any], lists: NDArray[Any]) -> NDArray[Any]:
+    """A column of lists like another, with these members (M,)."""
+    column = np.empty(len(lists), object)
+    ends = np.cumsum([np.size(row) for row in lists], dtype=np.int64)
+    for index, row in enumerate(
+        np.split(members, ends)[:-1]
+    ):  # assigned at once, lists of one length would be a matrix
+        column[index] = row
+    return column
 
 
 def _nearest_type(values: NDArray[Any], types: frozenset[str]) -> NDArray[Any]:

@@ -58,6 +58,29 @@ def test_big_endian_lists_beside_numbers(tmp_path):
     assert (tmp_path / "b.ply").read_bytes() == header.encode() + rows
 
 
+@pytest.mark.parametrize(
+    ("members", "stored", "warnings"),
+    [
+        ([[1, -2], [], [3]], "int", 0),
+        ([[2**32 + 1], [2**60], []], "double", 0),
+        ([[2**60 + 1], [7], []], "double", 1),
+        ([np.array([1], np.uint32), np.array([-1], np.int16), np.array([], np.int16)], "int", 0),
+        ([np.array([], np.int16)] * 3, "short", 0),
+        ([["a"], ["b"], []], None, 1),
+    ],
+)
+def test_lists_of_types_that_ply_lacks_are_converted(tmp_path, members, stored, warnings):
+    lists = np.empty(3, object)
+    lists[:] = [np.array(row) if row else row for row in members] if isinstance(members[0], list) else members
+    found = write(Cloud(np.eye(3), attributes={"l": lists}), tmp_path / "a.ply")
+    assert len(found) == warnings
+    assert (f"property list uchar {stored} l" in (tmp_path / "a.ply").read_text("latin1")) == (stored is not None)
+    if stored is not None:
+        again = read(tmp_path / "a.ply").attributes["l"]
+        for row, expected in zip(again, members, strict=True):
+            np.testing.assert_array_equal(row, np.asarray(expected, np.float64 if stored == "double" else None))
+
+
 def assert_same(first: Cloud, second: Cloud):
     assert first.points.tobytes() == second.points.tobytes()
     assert (first.normals is None) == (second.normals is None)
