@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
+from jetnormal.cli.derive import with_options
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
+from jetnormal.data.options import DatasetOptions
 from jetnormal.errors import UsageError
 from jetnormal.support.report import logger, print_json
 
 
+@with_options
 def dataset(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to create.")],
     meshes: Annotated[
@@ -31,17 +34,8 @@ def dataset(
     scans: Annotated[
         bool, typer.Option("--scans", help="Scan the shapes by virtual scanners instead of sampling them.")
     ] = False,
-    points: Annotated[
-        int, typer.Option(min=3, metavar="N", help="Points of each cloud; for scans the largest number.")
-    ] = 100_000,
-    queries: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Points of each cloud that its .pidx names, at most.")
-    ] = 5_000,
-    split: Annotated[
-        Literal["test", "training", "validation"],
-        typer.Option(help="Purpose of the set, which decides how its lists are named."),
-    ] = "test",
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Random seed.")] = 1,
+    *,
+    options: DatasetOptions,
     force: Annotated[bool, typer.Option("--force", help="Replace a folder that this command wrote.")] = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -73,9 +67,8 @@ def dataset(
     set_verbosity(quiet, verbose)
     if scans and scenes:
         raise UsageError("--scans contradicts --scenes: nothing tells where a scanner may stand in these scenes")
-    from jetnormal.data.write_benchmark import DatasetOptions, write_dataset
+    from jetnormal.data.write_benchmark import write_dataset
 
-    options = DatasetOptions(points, queries, split, seed)
     clouds = write_dataset(
         out,
         options,
@@ -88,4 +81,4 @@ def dataset(
     )
     logger.info("%d clouds in %s", len(clouds), out)
     if json:
-        print_json({"output": str(out), "clouds": clouds, "points": points, "seed": seed})
+        print_json({"output": str(out), "clouds": clouds, "points": options.points, "seed": options.seed})

@@ -23,6 +23,7 @@ import typer
 from typer.core import TyperCommand
 
 from jetnormal.support.options import Field, Nested, Option, OptionSet, fields
+from jetnormal.support.suggest import did_you_mean
 
 _Function = TypeVar("_Function", bound=Callable[..., None])
 _Set = TypeVar("_Set", bound=OptionSet)
@@ -97,6 +98,20 @@ def with_options(function: _Function) -> _Function:
     return made
 
 
+def one_of(*choices: str) -> dict[str, Any]:
+    """Return the settings of a Typer option, of type Any, that takes one of some words."""
+
+    def parse(text: str) -> str:
+        if text not in choices:
+            raise ValueError(f"{text!r} is not one of {', '.join(choices)}{did_you_mean(text, choices)}")
+        return text
+
+    def complete(text: str) -> list[str]:
+        return [choice for choice in choices if choice.startswith(text)]
+
+    return {"parser": _parser(parse), "metavar": "|".join(choices), "autocompletion": complete}
+
+
 def _is_set(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, OptionSet)
 
@@ -137,7 +152,7 @@ def _optional(given: Given) -> Iterator[inspect.Parameter]:
 def _typer_type(field: Field) -> Any:
     """The type of a field as Typer knows it: a tuple of any length is an option that may be repeated."""
     assert isinstance(field.note, Option)
-    if field.note.parse is not None:
+    if field.note.parse is not None or field.choices:
         return Any
     return list[get_args(field.type)[0]] if _repeats(field) else field.type  # type: ignore[misc]
 
@@ -152,15 +167,19 @@ def _typer_option(field: Field) -> Any:
     names = note.names
     if not names and field.type is bool and field.default is False:
         names = (f"--{field.name.replace('_', '-')}",)  # without a --no-NAME
-    settings: dict[str, Any] = {"min": note.low, "max": note.high} if {int, float} & {*field.types} else {}
+    settings: dict[str, Any] = {}
+    if {int, float} & {*field.types} and not (note.low in (0, 1) and note.high is None):  # which need no words
+        settings = {"min": note.low, "max": note.high}
     if note.parse is not None:
         settings["parser"] = _parser(note.parse)
+    elif field.choices:
+        settings = one_of(*field.choices)
+    if note.metavar is not None:
+        settings["metavar"] = note.metavar
     if note.complete is not None:
         settings["autocompletion"] = note.complete
     shown = True if note.default is None else note.default
-    return typer.Option(
-        *names, help=note.help, metavar=note.metavar, show_default=shown, rich_help_panel=note.group, **settings
-    )
+    return typer.Option(*names, help=note.help, show_default=shown, rich_help_panel=note.group, **settings)
 
 
 def _parser(parse: Callable[[str], Any]) -> Callable[[str], Any]:

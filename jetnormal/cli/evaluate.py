@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
-from jetnormal.cli.derive import with_options
+from jetnormal.cli.derive import one_of, with_options
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
 from jetnormal.errors import UsageError
 from jetnormal.evaluation.options import EvaluateOptions
@@ -42,7 +42,8 @@ def evaluate(
         typer.Option(metavar="DIR", help="Draw error heatmaps and curves into this folder.", rich_help_panel="Output"),
     ] = None,
     plots_format: Annotated[
-        Literal["png", "pdf", "svg"], typer.Option(help="Format of the pictures.", rich_help_panel="Output")
+        Any,
+        typer.Option(help="Format of the pictures.", rich_help_panel="Output", **one_of("png", "pdf", "svg")),
     ] = "png",
     up: Annotated[
         Any,
@@ -55,8 +56,14 @@ def evaluate(
         typer.Option("--force", help="Overwrite the pictures of an earlier evaluation.", rich_help_panel="Output"),
     ] = False,
     table: Annotated[
-        Literal["rich", "markdown", "latex", "csv"] | None,
-        typer.Option("--format", help="Format of the tables.", show_default="rich", rich_help_panel="Output"),
+        Any,
+        typer.Option(
+            "--format",
+            help="Format of the tables: rich, markdown, latex or csv.",
+            show_default="rich",
+            rich_help_panel="Output",
+            **one_of("rich", "markdown", "latex", "csv") | {"metavar": "NAME"},
+        ),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,

@@ -35,7 +35,6 @@ def report_failure(error: Exception) -> int:
     """
     verbose = logger.isEnabledFor(logging.DEBUG)
     if hasattr(error, "format_message"):  # a command line that Typer does not understand, which it explains itself
-        error.message = error.message.replace("Value error, ", "")  # type: ignore[attr-defined]  # by Pydantic
         error.show()  # type: ignore[attr-defined]
         message, code = error.format_message(), error.exit_code  # type: ignore[attr-defined]
         report_json(message, code)

@@ -7,9 +7,7 @@ density, a gradient and stripes), or scans by virtual scanners. A scene gives po
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -22,41 +20,15 @@ from jetnormal.data.benchmark_shapes import (
     scene_mesh_shapes,
     solid_shapes,
 )
+from jetnormal.data.options import DatasetOptions, Split
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats import write
 from jetnormal.formats.atomic import atomic_folder
 from jetnormal.formats.pcpnet import CATEGORIES, SENSOR_ATTRIBUTES, TEST_LIST, category_list, file_of, write_cloud
 from jetnormal.support.report import progress
 
-Split = Literal["test", "training", "validation"]
 MARKER = ".jetnormal-dataset"  # lists the files of a folder that was written here: no others may be replaced
 MARKER_TITLE = "# written by jetnormal dataset; its option --force replaces these files"
-
-
-@dataclass(frozen=True)
-class DatasetOptions:
-    """What is drawn.
-
-    Attributes:
-        points: of each cloud.
-        queries: points of each cloud that its .pidx file names, at most.
-        split: "test" for lists that `jetnormal evaluate` knows, "training" and "validation" for those that
-            `jetnormal train` knows.
-        seed: of all that is random.
-
-    Raises:
-        UsageError: a number is out of range.
-    """
-
-    points: int = 100_000
-    queries: int = 5_000
-    split: Split = "test"
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        for name, least in (("points", 3), ("queries", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise UsageError(f"{name} must be at least {least}, not {getattr(self, name)}")
 
 
 def write_dataset(

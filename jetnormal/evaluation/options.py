@@ -34,7 +34,9 @@ class EvaluateOptions(OptionSet):
     orient: Annotated[
         Literal["none", "global", "mst", "viewpoint", "up"],
         Option(
-            "Choose signs as well and score them; all points are estimated. viewpoint: by NAME.ply of a scan.",
+            "Choose signs as well (global, mst, viewpoint, up) and score them; all points are estimated. viewpoint: by "
+            "NAME.ply of a scan.",
+            metavar="METHOD",
             group="Data",
         ),
     ] = "none"

@@ -59,7 +59,7 @@ class NormalOptions(OptionSet):
     iterations: Annotated[
         int | None,
         Option(
-            "Fits per point (patch networks, iternet); each starts from the normal of the one before.",
+            "Fits per point, each from the normal of the one before (patch networks, iternet).",
             low=1,
             metavar="N",
             default="the model's",
@@ -69,7 +69,9 @@ class NormalOptions(OptionSet):
     orient: Annotated[
         Literal["auto", "global", "mst", "viewpoint", "up", "none"],
         Option(
-            "How the signs are chosen; auto decides by the sensor, if it is known, and by the shape of the cloud.",
+            "How the signs are chosen: auto (by the sensor, if it is known, else by the shape of the cloud), global, "
+            "mst, viewpoint, up or none.",
+            metavar="METHOD",
             group="Signs",
         ),
     ] = "auto"
@@ -79,11 +81,11 @@ class NormalOptions(OptionSet):
     ] = None
     viewpoint_attribute: Annotated[
         Names | None,
-        Option("Attributes that hold this position for each point.", parse=parse_names, metavar="X,Y,Z", group="Signs"),
+        Option("Attributes that hold it for each point.", parse=parse_names, metavar="X,Y,Z", group="Signs"),
     ] = None
     trajectory: Annotated[
         str | None,
-        Option("File of times and positions of the sensor: time x y z in rows.", metavar="FILE", group="Signs"),
+        Option("File with a row time x y z for each position of the sensor.", metavar="FILE", group="Signs"),
     ] = None
     time_attribute: Annotated[
         str, Option("Attribute that holds each point's time on the trajectory.", metavar="NAME", group="Signs")
@@ -100,7 +102,8 @@ class NormalOptions(OptionSet):
         int | None, Option("CPU threads.", low=1, high=MAX_THREADS, metavar="T", default="all cores", group="Resources")
     ] = None
     batch_size: Annotated[
-        int | None, Option("Patches at a time.", low=1, metavar="B", default="fits memory", group="Resources")
+        int | None,
+        Option("Patches at a time (patch networks).", low=1, metavar="B", default="fits memory", group="Resources"),
     ] = None
 
     @property
@@ -143,7 +146,7 @@ class ReadOptions(OptionSet):
         str | None,
         Option(
             "Format where no suffix tells it: ply, las, csv... for - (a stream), kitti for .bin.",
-            metavar="NAME", default="the suffix", group="Files",
+            metavar="NAME", group="Files",
         ),
     ] = None  # fmt: skip
     columns: Annotated[
@@ -176,12 +179,12 @@ class BatchOptions(OptionSet):
     _: KW_ONLY
     suffix: Annotated[
         str,
-        Option("Added to the names of the files in DIR, as in scan_n.ply for _n.", metavar="TEXT", group="Many files"),
+        Option("Added to the names of the files in DIR: _n makes scan_n.ply.", metavar="TEXT", group="Many files"),
     ] = ""
     jobs: Annotated[
         int,
         Option(
-            "Files in memory at a time: while one is computed, others are read and written.",
+            "Files in memory at a time; one is computed, the others are read or written.",
             low=1, metavar="N", group="Many files",
         ),
     ] = 2  # fmt: skip

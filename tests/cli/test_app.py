@@ -230,7 +230,12 @@ def test_wrong_usage_exits_2(arguments, estimation, monkeypatch, capsys):
 
 def test_a_wrong_choice_names_the_option_and_the_choices(estimation, monkeypatch, capsys):
     assert run(monkeypatch, "estimate", "a.ply", "-o", "b.ply", "--orient", "upp") == 2
-    assert "Invalid value for '--orient': 'upp' is not one of 'auto'," in capsys.readouterr().err
+    message = (
+        "Invalid value for '--orient': 'upp' is not one of auto, global, mst, viewpoint, up, none; did you mean up?"
+    )
+    assert message in capsys.readouterr().err
+    assert run(monkeypatch, "evaluate", "--data", "d", "--format", "x") == 2
+    assert "Invalid value for '--format': 'x' is not one of rich, markdown, latex, csv\n" in capsys.readouterr().err
 
 
 def test_estimate_hands_over_its_options(estimation, monkeypatch):

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from jetnormal.data import write_benchmark as generation
+from jetnormal.data.options import DatasetOptions
 from jetnormal.data.sources import PcpnetFolder
-from jetnormal.data.write_benchmark import DatasetOptions, write_dataset
+from jetnormal.data.write_benchmark import write_dataset
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.pcpnet import CATEGORIES, cloud_names, read_cloud
 
