@@ -10,7 +10,6 @@ RUN/.lock                  held while a process trains
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import json
 import math
@@ -30,6 +29,7 @@ from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
 from jetnormal.networks.packaged import resolve
 from jetnormal.support.report import logger
 from jetnormal.training.events import EventLog
+from jetnormal.training.metrics import Metrics
 
 if TYPE_CHECKING:
     from jetnormal.networks.checkpoint import Network
@@ -103,6 +103,7 @@ class Run:
         self.network = network
         self.optimizer = optimizer
         self.position = Position()
+        self.metrics = Metrics(folder / "metrics.csv")
         self._average = _averaged(network, average) if average else None
         self._saved = time.monotonic()
         self._save_interval = save_interval
@@ -133,10 +134,6 @@ class Run:
     def _state_path(self) -> Path:
         return self.folder / "state.safetensors"
 
-    @property
-    def _metrics_path(self) -> Path:
-        return self.folder / "metrics.csv"
-
     def begin(self, config: str, initial: str = "") -> None:
         """Prepare the folder for a new run, which may start from another model's weights.
 
@@ -159,20 +156,21 @@ class Run:
         except OSError as error:
             raise InputError(f"{self.folder}: cannot be created ({error.strerror}); choose another folder") from error
         self._acquire()
-        self._metrics_path.unlink(missing_ok=True)
+        self.metrics.clear()
         with atomic_write(self.folder / CONFIG_NAME, overwrite=True) as stream:
             stream.write(config.encode())
 
-    def resume(self, config: str) -> None:
+    def resume(self, config: str, epochs: int) -> None:
         """Go back to the last saved state.
 
         Args:
             config: the text of config.toml from now on.
+            epochs: that the run shall have.
 
         Raises:
             InputError: there is none, or another process trains in the folder.
             ModelError: it is damaged.
-            UsageError: the run began with other options.
+            UsageError: the run began with other options, or has more epochs already.
         """
         if not self._state_path.is_file():
             raise InputError(f"{self.folder}: there is no run to resume; start one")
@@ -188,7 +186,12 @@ class Run:
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             reason = str(error).splitlines()[0]
             raise ModelError(f"{self._state_path}: damaged ({reason}); start the run anew in another folder") from error
-        self._drop_metrics_after(self.position.epoch)
+        if self.position.epoch > epochs:
+            raise UsageError(
+                f"{self.folder}: the run has {self.position.epoch} epochs already, more than `epochs={epochs}`; "
+                "ask for more, or leave `epochs` out"
+            )
+        self.metrics.keep(self.position.epoch)
         with atomic_write(self.folder / CONFIG_NAME, overwrite=True) as stream:
             stream.write(config.encode())
 
@@ -219,7 +222,7 @@ class Run:
     def save(self) -> None:
         """Write the network on its own and the state, each atomically; the state last, for a resumed run trusts it."""
         training = self.facts | {"samples": self.position.samples}  # nothing else: the same run gives the same bytes
-        if "rmse" in (last := self.last_record()):
+        if "rmse" in (last := self.metrics.last()):
             training["rmse"] = last["rmse"]
         save_model(self.model_path, self.result, training)
         tensors = _named("network.", self.network.state_dict())
@@ -232,31 +235,10 @@ class Run:
         self._saved = time.monotonic()
 
     def record(self, row: dict[str, float]) -> None:
-        """Append an epoch's metrics to the table; what is not a number stays empty."""
-        known = {name: value for name, value in row.items() if not math.isnan(value)}
-        cells = {name: value if isinstance(value, int) else f"{value:.6g}" for name, value in known.items()}
-        with self._metrics_path.open("a", newline="") as stream:
-            writer = csv.DictWriter(stream, self._columns() or row, lineterminator="\n")
-            if stream.tell() == 0:
-                writer.writeheader()
-            writer.writerow(cells)
+        """Append an epoch's metrics to the table and to the events; what is not a number is left out."""
+        self.metrics.append(row)
         if self._events:
-            self._events.record(known)
-
-    def _columns(self) -> list[str]:
-        """The columns of the table so far: a resumed run has its loss terms in another order."""
-        if not self._metrics_path.exists():
-            return []
-        with self._metrics_path.open(newline="") as stream:
-            return next(csv.reader(stream), [])
-
-    def last_record(self) -> dict[str, float]:
-        """The metrics of the last epoch; empty before the first."""
-        if not self._metrics_path.exists():
-            return {}
-        with self._metrics_path.open(newline="") as stream:
-            *_, last = [{}, *csv.DictReader(stream)]
-        return {name: int(value) if value.isdigit() else float(value) for name, value in last.items() if value}
+            self._events.record({name: value for name, value in row.items() if not math.isnan(value)})
 
     def _take_over(self, path: Path) -> None:
         """Copy the weights of a model file that fit into this network."""
@@ -267,13 +249,6 @@ class Run:
             raise ModelError(f"{path}: shares no weights with this network; start from a model of its kind")
         self.network.load_state_dict(own | fitting)
         logger.info("starting from %s: %d of %d tensors fit", path, len(fitting), len(own))
-
-    def _drop_metrics_after(self, epoch: int) -> None:
-        """Remove the rows of epochs that the resumed run will do again."""
-        if self._metrics_path.exists():
-            lines = self._metrics_path.read_text().splitlines(keepends=True)
-            with atomic_write(self._metrics_path, overwrite=True) as stream:
-                stream.write("".join(lines[: epoch + 1]).encode())  # a header and a row an epoch
 
 
 def _averaged(network: Network, decay: float) -> AveragedModel:

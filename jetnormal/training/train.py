@@ -56,8 +56,8 @@ def train(
     Raises:
         InputError: the folder holds another run, or nothing to resume, or another process trains in it, or a cloud
             cannot be used.
-        UsageError: the run to resume began with other options, an epoch has less than one batch, or TensorBoard is
-            asked for and not installed.
+        UsageError: the run to resume began with other options or has more epochs already, an epoch has less than one
+            batch, or TensorBoard is asked for and not installed.
         ModelError: the loss, its gradient or the weights are no longer finite, or `initial` cannot be started from.
         ResourceError: the device is not there, or PyTorch lacks the optimizer.
     """
@@ -74,7 +74,7 @@ def train(
         trainer = Trainer(task, run, options, source, validation)
         with run:
             if resume:
-                run.resume(config)
+                run.resume(config, options.epochs)
             else:
                 run.begin(config, options.initial)
             logger.info("training %s parameters", f"{parameters:,}")

@@ -119,9 +119,9 @@ class Trainer(Generic[_Batch]):
             InputError: a cloud cannot be used, or the run cannot be written.
             ModelError: the loss, its gradient or the weights are no longer finite.
         """
-        if self.run.position.epoch >= self.options.epochs:
+        if self.run.position.epoch == self.options.epochs:
             logger.info("all %d epochs of the run are done; a larger number of epochs extends it", self.options.epochs)
-            return self.run.last_record()
+            return self.run.metrics.last()
         held_out = self.task.held_out(self._validation)
         try:
             while self.run.position.epoch < self.options.epochs:
@@ -131,7 +131,7 @@ class Trainer(Generic[_Batch]):
             self.run.save()
             logger.warning("interrupted; saved in %s, where the run can be resumed", self.run.folder)
             raise
-        return self.run.last_record()
+        return self.run.metrics.last()
 
     def _steps(self) -> None:
         """What is left of the steps of an epoch."""

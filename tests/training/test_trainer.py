@@ -281,6 +281,14 @@ def test_a_resumed_run_may_have_more_epochs(finished, tmp_path):
     assert load_tensors(tmp_path / "run" / "model.safetensors")[1]["training"]["training"]["epochs"] == 2
 
 
+def test_a_run_that_has_more_epochs_than_asked_for_stays_as_it_is(finished):
+    folder, _ = finished
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(UsageError, match="the run has 2 epochs already, more than `epochs=1`; ask for more, or leave"):
+        train(changed(epochs=1), Spheres(), folder, resume=True)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
 def test_a_run_that_began_before_an_option_existed_is_resumed(finished, tmp_path):
     tensors, description = load_tensors(finished[0] / "state.safetensors")
     del description["facts"]["network"]["light"]
