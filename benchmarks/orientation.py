@@ -44,7 +44,7 @@ def made_clouds() -> Iterator[tuple[str, str, Cloud]]:
     """Make clouds with known normals, each with its name and category."""
     from jetnormal.data.benchmark_shapes import procedural_scene_shapes, solid_shapes
     from jetnormal.data.corruption import NOISE_LEVELS, add_noise
-    from jetnormal.data.solids.recipes import random_solid
+    from jetnormal.data.solids.draw import random_solid
 
     rng = np.random.default_rng(SEED)
     for scans in (False, True):
@@ -53,7 +53,7 @@ def made_clouds() -> Iterator[tuple[str, str, Cloud]]:
                 labeled = np.ones(len(cloud.points), bool) if cloud.labeled is None else cloud.labeled
                 category = f"scan: {cloud.category}" if scans else cloud.category
                 yield cloud.name, category, (cloud.points, cloud.normals, labeled)
-    for shape in procedural_scene_shapes(3 * SCENES, scans=True)[2::3]:  # rooms, streets and country take turns
+    for shape in procedural_scene_shapes(3 * SCENES, scans=True)[2::3]:  # rooms, streets and terrain take turns
         cloud = next(cloud for cloud in shape.draw(POINTS, rng) if cloud.name.endswith("airborne"))
         labeled = np.ones(len(cloud.points), bool) if cloud.labeled is None else cloud.labeled
         yield cloud.name, "airborne terrain", (cloud.points, cloud.normals, labeled)
@@ -80,7 +80,7 @@ def _with_strays(points: np.ndarray, normals: np.ndarray, rng: np.random.Generat
 
 def _far_apart(rng: np.random.Generator) -> Cloud:
     """Solids of all sizes, up to FAR apart."""
-    from jetnormal.data.solids.recipes import random_solid
+    from jetnormal.data.solids.draw import random_solid
 
     parts = []
     for _ in range(OBJECTS):

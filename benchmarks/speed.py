@@ -34,7 +34,7 @@ DEFAULT_MODELS = ["pca:k=30", "jet:k=30,order=2", "jet:k=60,order=2", "cloudfit"
 def cloud(count: int) -> tuple[np.ndarray, np.ndarray]:
     """(count, 3) points and their true normals."""
     from jetnormal.data.corruption import add_noise
-    from jetnormal.data.solids.recipes import random_solid
+    from jetnormal.data.solids.draw import random_solid
 
     rng = np.random.default_rng(1)
     points, normals = random_solid(rng).sample(count, rng)

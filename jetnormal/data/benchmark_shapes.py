@@ -18,7 +18,7 @@ from jetnormal.data.scanners.draw import FAMILIES, scan
 from jetnormal.data.scanners.scenes import SCENE_SCANNERS, SceneTarget
 from jetnormal.data.scanners.targets import MeshTarget, SolidTarget, Target
 from jetnormal.data.scenes.draw import SCENES, random_scene
-from jetnormal.data.solids.recipes import random_solid
+from jetnormal.data.solids.draw import random_solid
 from jetnormal.data.sources import meshes_in
 from jetnormal.errors import InputError
 from jetnormal.formats.meshes import MESH_SUFFIXES
@@ -95,7 +95,7 @@ def scene_mesh_shapes(folder: Path) -> list[Shape]:
 
 
 def procedural_scene_shapes(count: int, scans: bool) -> list[Shape]:
-    """Rooms, streets and pieces of country in turn: a scan by each of their scanners, or sampled points."""
+    """Rooms, streets and terrain in turn: a scan by each of their scanners, or sampled points."""
     shapes = []
     for number, name in enumerate(_numbered("", count)):
         kind = list(SCENES)[number % len(SCENES)]

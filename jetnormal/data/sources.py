@@ -21,7 +21,7 @@ from jetnormal.data.scanners.draw import random_scan
 from jetnormal.data.scanners.scenes import SceneTarget
 from jetnormal.data.scanners.targets import MeshTarget, SolidTarget, Target
 from jetnormal.data.scenes.draw import random_scene
-from jetnormal.data.solids.recipes import random_solid
+from jetnormal.data.solids.draw import random_solid
 from jetnormal.errors import InputError
 from jetnormal.formats.meshes import MESH_SUFFIXES
 from jetnormal.formats.pcpnet import cloud_names, read_cloud

@@ -158,6 +158,6 @@ def ms_per_point(estimator: Estimator, gflop_per_point: float) -> float:
 def _solid(rng: np.random.Generator) -> NDArray[np.float64]:
     """Sample a procedural solid with a little noise."""
     from jetnormal.data.corruption import add_noise
-    from jetnormal.data.solids.recipes import random_solid
+    from jetnormal.data.solids.draw import random_solid
 
     return add_noise(random_solid(rng).sample(CLOUD_POINTS, rng)[0], 2.5e-3, rng)

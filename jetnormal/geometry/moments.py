@@ -1,4 +1,4 @@
-"""What the neighbors of a point say of its surroundings: scale, plane, variances, centroid."""
+"""Moments of the neighbors of each point: scale, plane, variances, centroid."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Loops that numba compiles at their first call, and whose machine code later processes load without numba.
 
-To import numba, and to have it load code that it kept, takes half a second in each process. So the object code of each
-loop is kept in a file of its own here, and is loaded and called by what numba itself stands on: llvmlite and numba's
-calling convention (https://numba.readthedocs.io/en/stable/developer/repr.html).
+Importing numba and loading code from its cache takes half a second in each process. So the machine code of each loop is
+kept in a file, which is loaded by llvmlite, the library under numba, and called by numba's calling convention
+(https://numba.readthedocs.io/en/stable/developer/repr.html).
 """
 
 from __future__ import annotations

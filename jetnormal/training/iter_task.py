@@ -42,7 +42,7 @@ class RoundCrop:
     learned: NDArray[np.bool_]
 
 
-class CropSampler(QuerySampler[NeighborIndex, list[RoundCrop]]):
+class RoundCropSampler(QuerySampler[NeighborIndex, list[RoundCrop]]):
     """Draw batches of crops; see `QuerySampler`."""
 
     def __init__(self, source: DataSource, crop_points: int, crops_per_cloud: int, batch_size: int, seed: int) -> None:
@@ -87,9 +87,9 @@ class IterTask:
         self._options = options
         self._pool = pool
 
-    def sampler(self, source: DataSource) -> CropSampler:
+    def sampler(self, source: DataSource) -> RoundCropSampler:
         options = self._options
-        return CropSampler(
+        return RoundCropSampler(
             Turned(source), options.crop_points, options.crops_per_cloud, options.batch_size, options.seed
         )
 

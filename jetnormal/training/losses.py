@@ -76,8 +76,8 @@ def total_loss(prediction: PatchPrediction, neighbor_normals: Tensor, factors: L
     }
     loss = terms["normal"] + factors.consistency * terms["consistency"] + factors.z_direction * terms["z_direction"]
     if prediction.feature_transform is not None:
-        terms["regularisation"] = orthogonality_loss(prediction.feature_transform)
-        loss = loss + factors.regularisation * terms["regularisation"]
+        terms["regularization"] = orthogonality_loss(prediction.feature_transform)
+        loss = loss + factors.regularization * terms["regularization"]
     if prediction.offsets is not None:
         terms["offsets"] = prediction.offsets.square().mean()
         loss = loss + factors.offsets * terms["offsets"]

@@ -200,7 +200,7 @@ class LossWeights(OptionSet):
         float,
         Option("Factor of the consistency term: the normals of the neighbors by the fitted jet.", low=0, flag=False),
     ] = 0.25
-    regularisation: Annotated[
+    regularization: Annotated[
         float, Option("Factor of the term that keeps the feature transform close to a rotation.", low=0, flag=False)
     ] = 0.1
     z_direction: Annotated[

@@ -11,7 +11,7 @@ from shapes import sphere
 
 from jetnormal import load_model
 from jetnormal.data.corruption import add_noise
-from jetnormal.data.solids.recipes import random_solid
+from jetnormal.data.solids.draw import random_solid
 from jetnormal.estimators import patchwise as estimators
 from jetnormal.estimators.factory import make_estimator
 from jetnormal.geometry.metrics import angles, rmse

@@ -174,22 +174,22 @@ def test_the_total_is_the_weighted_sum_of_the_paper():
         feature_transform=torch.randn(BATCH, 8, 8),
     )
     terms = total_loss(given, normals, LossWeights())
-    assert set(terms) == {"normal", "consistency", "z_direction", "regularisation", "loss"}
+    assert set(terms) == {"normal", "consistency", "z_direction", "regularization", "loss"}
     torch.testing.assert_close(terms["normal"], normal_loss(given, normals[:, 0]))
     torch.testing.assert_close(terms["consistency"], consistency_loss(given, normals, 0.2))
     torch.testing.assert_close(terms["z_direction"], z_direction_loss(given.rotation, normals[:, 0]))
-    torch.testing.assert_close(terms["regularisation"], orthogonality_loss(given.feature_transform))
-    expected = terms["normal"] + 0.25 * terms["consistency"] + 0.1 * terms["regularisation"] + 2 * terms["z_direction"]
+    torch.testing.assert_close(terms["regularization"], orthogonality_loss(given.feature_transform))
+    expected = terms["normal"] + 0.25 * terms["consistency"] + 0.1 * terms["regularization"] + 2 * terms["z_direction"]
     torch.testing.assert_close(terms["loss"], expected)
 
-    other = total_loss(given, normals, LossWeights(consistency=0.0, regularisation=0.0, z_direction=0.5))
+    other = total_loss(given, normals, LossWeights(consistency=0.0, regularization=0.0, z_direction=0.5))
     torch.testing.assert_close(other["loss"], terms["normal"] + 0.5 * terms["z_direction"])
 
 
 def test_without_a_feature_transform_there_is_nothing_to_regularise():
     normals = directions(BATCH, K)
     terms = total_loss(prediction(normals, feature_transform=None), normals, LossWeights())
-    assert "regularisation" not in terms
+    assert "regularization" not in terms
     assert terms["loss"].item() < 1e-5  # a faultless prediction of weight 1 costs nothing
 
 

@@ -95,11 +95,11 @@ def test_a_run_leaves_a_network_a_state_and_metrics(finished):
     ]
     rows = metrics(folder)
     assert [(row["epoch"], row["samples"]) for row in rows] == [("1", "64"), ("2", "128")]
-    terms = ["normal", "consistency", "z_direction", "regularisation", "loss"]
+    terms = ["normal", "consistency", "z_direction", "regularization", "loss"]
     assert list(rows[0]) == ["epoch", "samples", *terms, "rmse", "rmse_rough", "rmse_z"]
     assert all(np.isfinite(float(value)) for row in rows for value in row.values())
     total = float(rows[0]["normal"]) + 0.25 * float(rows[0]["consistency"])
-    total += 2 * float(rows[0]["z_direction"]) + 0.1 * float(rows[0]["regularisation"])
+    total += 2 * float(rows[0]["z_direction"]) + 0.1 * float(rows[0]["regularization"])
     assert float(rows[0]["loss"]) == pytest.approx(total, rel=1e-4)
 
     assert summary["model"] == str(folder / "model.safetensors")
@@ -134,7 +134,7 @@ def test_every_weight_predictor_trains_and_resumes(tmp_path, weights):
     train(recipe, Spheres(), tmp_path / "whole")
     row = {name: float(value) for name, value in metrics(tmp_path / "whole")[-1].items()}
     total = row["normal"] + 0.25 * row["consistency"] + 2 * row["z_direction"]
-    total += 0.1 * row["regularisation"] + 0.5 * row["offsets"]
+    total += 0.1 * row["regularization"] + 0.5 * row["offsets"]
     assert row["loss"] == pytest.approx(total, rel=1e-4)
     assert row["offsets"] > 0
     with interrupted(signal.SIGINT, 5), pytest.raises(KeyboardInterrupt):

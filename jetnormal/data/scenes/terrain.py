@@ -1,4 +1,4 @@
-"""Open country: hills with houses, trees, poles and walls."""
+"""Terrain: hills with houses, trees, poles and walls."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Hills:
 
 
 def terrain(rng: Rng) -> Scene:
-    """Draw a piece of country of 60 to 250 m."""
+    """Draw a piece of terrain of 60 to 250 m."""
     extent = float(np.exp(rng.uniform(np.log(60), np.log(250))))
     hills, floor = Hills(extent, rng), Floor()
     line = np.linspace(0, extent, 201)

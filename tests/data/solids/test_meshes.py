@@ -5,8 +5,8 @@ import pytest
 
 from jetnormal.data.scanners.targets import SolidTarget
 from jetnormal.data.solids.csg import Part, Solid
+from jetnormal.data.solids.draw import random_solid
 from jetnormal.data.solids.primitives import ConvexPolyhedron, Lathe, RoundedBox, RoundedCylinder, Torus
-from jetnormal.data.solids.recipes import random_solid
 from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
 
 PRIMITIVES = [

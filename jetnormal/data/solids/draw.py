@@ -27,7 +27,7 @@ from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
 
 def random_solid(rng: np.random.Generator) -> Solid:
     """Draw a solid of one to seven parts, with a size of about one to three, at a random place."""
-    recipes: list[Callable[[np.random.Generator], list[Part]]] = [
+    kinds: list[Callable[[np.random.Generator], list[Part]]] = [
         _assembly,
         _machined,
         _shell,
@@ -35,8 +35,8 @@ def random_solid(rng: np.random.Generator) -> Solid:
         _smooth,
     ]
     while True:
-        recipe = recipes[rng.choice(len(recipes), p=[0.2, 0.35, 0.15, 0.1, 0.2])]
-        solid = Solid(_moved(recipe(rng), rng))
+        draw = kinds[rng.choice(len(kinds), p=[0.2, 0.35, 0.15, 0.1, 0.2])]
+        solid = Solid(_moved(draw(rng), rng))
         if solid.exposed_share > 0.15:  # else most of it is cut away or buried, which is slow to sample
             return solid
 

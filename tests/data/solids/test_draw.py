@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jetnormal.data.solids.csg import Part, Solid
+from jetnormal.data.solids.draw import random_solid
 from jetnormal.data.solids.primitives import ConvexPolyhedron, Lathe, RoundedBox, RoundedCylinder, Torus
-from jetnormal.data.solids.recipes import random_solid
 from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
 
 TETRAHEDRON = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
