@@ -14,6 +14,8 @@ from jetnormal.errors import InputError
 from jetnormal.formats.registry import library
 
 LASZIP = ("laszip encoded", 22204)
+LONGEST_COMPRESSED = 8192
+"""Bytes of a point: a compressor has several kB of statistics for each of them."""
 _LASZIP_HEAD = struct.Struct("<H30xH")
 """The compressor and the number of items in the record; the items follow, each with its kind, size and version."""
 _LAYERED = 3
@@ -73,6 +75,8 @@ def laszip_record(records: tuple[Record, ...], path: Path) -> bytes:
 
 def check_chunks(stream: BinaryIO, header: Any, laszip: bytes, path: Path) -> None:
     """Refuse compressed chunks, or parts of them, larger than the file: the decompressor would allocate them."""
+    if header.point_format.size > LONGEST_COMPRESSED:
+        raise InputError(f"{path}: declares points of {header.point_format.size} bytes, too long to be compressed")
     position, size, start = stream.tell(), path.stat().st_size, header.offset_to_point_data
     stream.seek(start)
     (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
@@ -92,8 +96,10 @@ def check_chunks(stream: BinaryIO, header: Any, laszip: bytes, path: Path) -> No
         if found >= header.point_count:
             break  # an empty file has an empty chunk
         stream.seek(first)
-        if not _layers_fit(stream, laszip, length):
-            raise InputError(f"{path}: a compressed chunk is shorter than what it declares to hold; it is damaged")
+        if first + length > table or not _layers_fit(stream, laszip, length):
+            raise InputError(
+                f"{path}: a compressed chunk is shorter than its layers or ends behind the table; it is damaged"
+            )
         found += count if record.uses_variable_size_chunks() else record.chunk_size()
         first += length
     if found < header.point_count:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud
+from jetnormal.errors import InputError
 from jetnormal.formats.columns import (
     COORDINATES,
     NORMALS,
@@ -26,7 +27,7 @@ from jetnormal.formats.las_dimensions import (
     to_integers,
 )
 from jetnormal.formats.las_extra import WITHOUT_WAVES, LasExtra, import_laspy
-from jetnormal.formats.las_records import Record
+from jetnormal.formats.las_records import LONGEST_COMPRESSED, Record
 from jetnormal.formats.registry import library_errors
 from jetnormal.formats.storage import COLORS, to_storable
 from jetnormal.formats.streams import RowWriter, SameLayout, write_whole
@@ -124,6 +125,11 @@ class _Rows:
         if self._extra and any((record.user, record.number) == _WAVEFORMS for record in self._extra.late_records):
             self._header.start_of_waveform_data_packet_record = 0
         self._header.vlrs.extend(_as_vlr(self._laspy, record) for record in records)
+        if self._compress and self._header.point_format.size > LONGEST_COMPRESSED:
+            raise InputError(
+                f"points of {self._header.point_format.size} bytes are not compressed, only up to "
+                f"{LONGEST_COMPRESSED}; write a .las file"
+            )
         # The parallel compressor takes memory for whole chunks at once.
         parallel = rows > _COMPRESSED_CHUNK
         backend = self._laspy.LazBackend.LazrsParallel if parallel else self._laspy.LazBackend.Lazrs

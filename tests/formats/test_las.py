@@ -217,3 +217,28 @@ def test_a_table_of_chunks_that_asks_for_all_memory_is_refused(tmp_path):
     (tmp_path / "bad.laz").write_bytes(data)
     with pytest.raises(InputError, match="compressed chunks"):
         formats.read(tmp_path / "bad.laz")
+
+
+def test_a_chunk_that_ends_behind_the_table_is_refused(tmp_path):
+    """A chunk of any length would hold layers of any length, for which lazrs ends the process."""
+    data = bytearray(lidar_file(tmp_path / "in.laz", records=False).read_bytes())
+    (start,) = struct.unpack_from("<I", data, 96)
+    (table,) = struct.unpack_from("<q", data, start)
+    del data[table - 1 : table]
+    struct.pack_into("<q", data, start, table - 1)
+    (tmp_path / "bad.laz").write_bytes(data)
+    with pytest.raises(InputError, match="behind the table"):
+        formats.read(tmp_path / "bad.laz")
+
+
+def test_points_too_long_to_be_compressed_are_refused(tmp_path):
+    """lazrs ends the process when it cannot have the memory for the statistics of each byte."""
+    data = bytearray(lidar_file(tmp_path / "in.las", records=False).read_bytes())
+    struct.pack_into("<H", data, 105, 9000)  # the bytes that no record describes are kept as they are
+    data += bytes(COUNT * 9000)
+    (tmp_path / "in.las").write_bytes(data)
+    cloud = formats.read(tmp_path / "in.las")
+    with pytest.raises(InputError, match=r"out\.laz: points of 9000 bytes.*\.las"):
+        formats.write(cloud, tmp_path / "out.laz")
+    assert not (tmp_path / "out.laz").exists()
+    formats.write(cloud, tmp_path / "out.las")

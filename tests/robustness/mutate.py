@@ -27,7 +27,8 @@ def mutated(seeds: list[bytes], rng: random.Random) -> bytes:
     data = rng.choice(seeds)
     for _ in range(rng.choice((1, 1, 1, 2, 3, 4))):
         data = rng.choice(MUTATORS)(data, rng) if rng.random() < 0.95 else _splice(data, rng.choice(seeds), rng)
-    return data[:LONGEST]
+        data = data[:LONGEST]  # after each damage: two that repeat something would fill the memory
+    return data
 
 
 def _span(data: bytes, rng: random.Random, longest: int = 64) -> tuple[int, int]:
