@@ -168,7 +168,9 @@ def _typer_option(field: Field) -> Any:
     if not names and field.type is bool and field.default is False:
         names = (f"--{field.name.replace('_', '-')}",)  # without a --no-NAME
     settings: dict[str, Any] = {}
-    if {int, float} & {*field.types} and not (note.low in (0, 1) and note.high is None):  # which need no words
+    if note.low in (0, 1) and note.high is None:  # which goes without saying in the help
+        settings = {"callback": _at_least(note.low)}
+    elif {int, float} & {*field.types}:
         settings = {"min": note.low, "max": note.high}
     if note.parse is not None:
         settings["parser"] = _parser(note.parse)
@@ -180,6 +182,17 @@ def _typer_option(field: Field) -> Any:
         settings["autocompletion"] = note.complete
     shown = True if note.default is None else note.default
     return typer.Option(*names, help=note.help, show_default=shown, rich_help_panel=note.group, **settings)
+
+
+def _at_least(low: float) -> Callable[[Any], Any]:
+    """A callback of a Typer option that refuses a number below a bound."""
+
+    def checked(value: Any) -> Any:
+        if value is not None and value < low:
+            raise typer.BadParameter(f"{value} is not {low} or more")
+        return value
+
+    return checked
 
 
 def _parser(parse: Callable[[str], Any]) -> Callable[[str], Any]:
