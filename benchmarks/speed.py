@@ -82,10 +82,9 @@ def measure(model: str, count: int, repeats: int) -> dict[str, float]:
 
 def print_stages(model: str, count: int, repeats: int) -> None:
     """Where a whole-cloud model spends its time, as a table."""
-    from jetnormal.estimators.blocks import spatial_order
     from jetnormal.estimators.factory import make_estimator
     from jetnormal.estimators.whole_cloud import CloudEstimator
-    from jetnormal.geometry.neighbors import NeighborIndex
+    from jetnormal.geometry.neighbors import NeighborIndex, spatial_order
     from jetnormal.geometry.pyramid import NEIGHBORS, build_pyramid
 
     estimator = make_estimator(model)

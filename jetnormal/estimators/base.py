@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -47,6 +48,17 @@ def joined(parts: list[Prediction]) -> Prediction:
         return None if not arrays or arrays[0] is None else np.concatenate(arrays)
 
     return Prediction(join("normals"), join("rough"), join("confidence"), join("curvatures"))
+
+
+def scattered(parts: Iterable[tuple[NDArray[np.int64], Prediction]], count: int) -> Prediction:
+    """Put predictions for some rows each into one for all `count` rows, each of which is in one part, as they come."""
+    whole: dict[str, Any] = {}
+    for rows, part in parts:
+        for field in fields(part):
+            values = getattr(part, field.name)
+            if values is not None:
+                whole.setdefault(field.name, np.empty((count, *values.shape[1:]), values.dtype))[rows] = values
+    return Prediction(whole["normals"], whole["rough"], whole["confidence"], whole.get("curvatures"))
 
 
 class Estimator(Protocol):

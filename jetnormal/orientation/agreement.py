@@ -261,9 +261,15 @@ def relax(
     return np.clip(x, -1, 1)
 
 
-def revote(surface: Surface) -> Floats:
-    """Turn points that most of their neighbors contradict; return how far the neighbors agree then (N,), 0 to 1."""
+def revote(surface: Surface, settled: Ints | None = None) -> Floats:
+    """Turn points that most of their neighbors contradict; return how far the neighbors agree then (N,), 0 to 1.
+
+    Rows `settled` (n,) stay as they are.
+    """
     for _ in range(REVOTES):
-        surface.turn(edge_votes(surface.edges)[0] < 0)
+        contradicted = edge_votes(surface.edges)[0] < 0
+        if settled is not None:
+            contradicted[settled] = False
+        surface.turn(contradicted)
     vote, total = edge_votes(surface.edges)
     return np.clip(vote / np.where(total > 0, total, 1), 0, 1)

@@ -230,22 +230,22 @@ def _by_part(points: Floats, normals: NDArray[Any], source: Source, copies: bool
     """
     from jetnormal.geometry.neighbors import distinct
     from jetnormal.geometry.thinning import least, ranks
-    from jetnormal.orientation.carrying import Thinned, carry_signs
+    from jetnormal.orientation.carrying import Thinned, carry_in_blocks
 
-    unit = _unit(normals)
-    rows = np.flatnonzero(np.isfinite(points).all(axis=1) & unit.any(axis=1))
+    directions = _unit(normals).astype(np.float32)
+    rows = np.flatnonzero(np.isfinite(points).all(axis=1) & directions.any(axis=1))
     first, copy_of = distinct(points[rows]) if copies else (np.arange(len(rows)),) * 2
-    places, directions = points[rows[first]], unit[rows[first]]
-    del unit
-    part = least(ranks(places, places[:0]), ENOUGH)
-    told, decision = _by_evidence(places[part], directions[part], source)
-    thinned = Thinned(places[part], told.normals, told.confidence.astype(np.float64))
-    flips, sure = carry_signs(places, directions, thinned)
+    if len(first) < len(points):
+        points, directions = points[rows[first]], directions[rows[first]]
+    part = least(ranks(points, points[:0]), ENOUGH)
+    told, decision = _by_evidence(points[part], directions[part], source)
+    thinned = Thinned(points[part], told.normals, told.confidence.astype(np.float64))
+    flips, sure = carry_in_blocks(points, directions, thinned)
     directions[flips] *= -1
-    turned, confidence = normals.copy(), np.zeros(len(points), np.float32)
+    turned, confidence = normals.copy(), np.zeros(len(normals), np.float32)
     turned[rows[np.einsum("nd,nd->n", normals[rows], directions[copy_of]) < 0]] *= -1  # copies follow the first one
     confidence[rows] = sure[copy_of]
-    is_open = np.zeros(len(points), dtype=np.bool_)
+    is_open = np.zeros(len(normals), dtype=np.bool_)
     is_open[rows[first[part]]] = told.open
     orientation = Orientation(turned, confidence, is_open, told.view)
     return orientation, replace(decision, confidence=round(float(confidence.mean()), 4))

@@ -14,9 +14,9 @@ from shapes import sphere_cloud
 
 from jetnormal.cloud import Cloud
 from jetnormal.errors import InputError, UsageError
-from jetnormal.estimators import blocks
+from jetnormal.estimators import blocks as estimation
 from jetnormal.formats import read, write
-from jetnormal.geometry import cells
+from jetnormal.geometry import blocks, cells
 from jetnormal.jobs import memory
 from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.memory import Room
@@ -74,7 +74,7 @@ def test_the_default_model_and_a_las_file(tmp_path):
 
 def test_tiles_are_the_blocks_of_a_cloud_in_memory(tmp_path, monkeypatch):
     """The same points in the same cells, with the same halos: the same but for rounding."""
-    monkeypatch.setattr(blocks, "TOGETHER", 2000)
+    monkeypatch.setattr(estimation, "TOGETHER", 2000)
     monkeypatch.setattr(blocks, "CORE", TILE)
     monkeypatch.setattr(cells, "SAMPLE", 2000)
     options = EstimateOptions(orient="up", confidence=True)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from shapes import even_sphere
 
-from jetnormal.orientation.carrying import Thinned, carry_signs
+from jetnormal.geometry import blocks
+from jetnormal.orientation.carrying import Thinned, carry_in_blocks, carry_signs
 
 
 def plate(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -56,3 +57,26 @@ def test_points_without_a_direction_are_left_alone():
     normals[3] = np.nan
     flips, sure = carry_signs(points, normals, thinned(points, points, 10))
     assert not flips[3] and sure[3] == 0
+
+
+def test_oriented_points_keep_their_signs():
+    """Even wrong ones: whoever settled them saw the whole cloud."""
+    points = even_sphere(2000)
+    wrong = np.ones((200, 1))
+    wrong[::20] = -1
+    known = Thinned(points[::10], points[::10] * wrong, np.linspace(0.5, 1, 200))
+    flips, sure = carry_signs(points, points, known)
+    np.testing.assert_array_equal(flips[::10], wrong[:, 0] < 0)
+    np.testing.assert_array_equal(sure[::10], known.sure)
+    assert not np.delete(flips, np.s_[::10]).any()
+
+
+def test_signs_are_the_same_block_by_block(monkeypatch):
+    """They are told by what is near."""
+    monkeypatch.setattr(blocks, "CORE", 2000)
+    points, true = plate(8000)
+    true[::2] *= -1
+    known = thinned(points, np.sign(points) * [0, 0, 1], 10)
+    whole, of_blocks = carry_signs(points, true, known), carry_in_blocks(points, true.astype(np.float32), known)
+    np.testing.assert_array_equal(of_blocks[0], whole[0])
+    np.testing.assert_allclose(of_blocks[1], whole[1], atol=0.02)

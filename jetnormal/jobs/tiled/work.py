@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jetnormal.cloud import Source
 from jetnormal.estimators.base import Estimator
-from jetnormal.estimators.blocks import Spacing, nearest, seen_from, widest
+from jetnormal.geometry.blocks import Spacing, nearest, seen_from, widest
 from jetnormal.geometry.cells import near_boxes
 from jetnormal.geometry.neighbors import distinct
 from jetnormal.geometry.thinning import least, ranks
@@ -19,13 +19,12 @@ from jetnormal.jobs.options import EstimateOptions
 from jetnormal.jobs.prediction import kept_estimator, predict
 from jetnormal.jobs.tiled.plan import Plan
 from jetnormal.jobs.tiled.store import FOUND, SAMPLE, SIGNED, Store
-from jetnormal.orientation.carrying import Thinned, carry_signs
+from jetnormal.orientation.carrying import SIGN_REACH, Thinned, carry_signs
 from jetnormal.orientation.policy import settle
 from jetnormal.orientation.sensors import Sensors
 
 Floats = NDArray[np.float64]
 
-SIGN_REACH = 20.0  # of regions of neighbors that agree, see `estimators.base.Estimator.reach`
 CANDIDATES = 50_000  # points of a tile, at least, that may go into the thinned cloud
 
 SPACING = "spacing"
