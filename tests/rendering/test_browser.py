@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from shapes import even_sphere, sphere
 
-from jetnormal import Cloud
+from jetnormal import Cloud, Mesh
 from jetnormal.rendering.page import encode_page
-from jetnormal.rendering.scene import cloud_scene
+from jetnormal.rendering.scene import cloud_scene, mesh_scene
 
 sync_api = pytest.importorskip("playwright.sync_api")
 image = pytest.importorskip("matplotlib.image")
@@ -61,11 +61,12 @@ def browser() -> Iterator[sync_api.Browser]:
 
 @pytest.fixture
 def show(browser, tmp_path) -> Iterator[Callable[..., Viewer]]:
-    """Open the page of a cloud; at the end of the test, no message may stand in the browser's console."""
+    """Open the page of a cloud or a mesh; at the end of the test, no message may stand in the browser's console."""
     viewers = []
 
-    def open_page(cloud: Cloud, coloring: str = "auto") -> Viewer:
-        (tmp_path / "page.html").write_bytes(encode_page(cloud_scene(cloud, coloring), "cloud", "iso", "white"))
+    def open_page(content: Cloud | Mesh, coloring: str = "auto") -> Viewer:
+        scene = (mesh_scene if isinstance(content, Mesh) else cloud_scene)(content, coloring)
+        (tmp_path / "page.html").write_bytes(encode_page(scene, "cloud", "iso", "white"))
         viewer = Viewer(browser.new_page(viewport={"width": 400, "height": 300}))
         viewers.append(viewer)
         viewer.page.goto((tmp_path / "page.html").as_uri())
@@ -149,6 +150,13 @@ def test_the_size_of_the_points_is_chosen(show, ellipsoid):
     before = drawn(viewer.screenshot("size_before")).sum()
     viewer.page.locator("input[type=range]").fill("-2")
     assert drawn(viewer.screenshot("size_small")).sum() < before
+
+
+def test_a_mesh_has_no_points_to_size(show):
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    viewer = show(Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), faces))
+    assert drawn(viewer.screenshot("mesh")).any()
+    assert viewer.page.locator("select").is_visible() and not viewer.page.locator("#size").is_visible()
 
 
 def test_the_legend_explains_the_colors(show, ellipsoid):
