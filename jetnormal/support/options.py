@@ -12,12 +12,13 @@ This module imports nothing heavy: the command line needs the options to print i
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import numbers
 import types
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from jetnormal.errors import UsageError
 from jetnormal.support.suggest import did_you_mean
@@ -112,7 +113,9 @@ _Made = TypeVar("_Made")
 
 def fields(kind: type) -> tuple[Field, ...]:
     """The fields of an option dataclass, in their order."""
-    hints = get_type_hints(kind, include_extras=True)
+    hints: dict[str, Any] = {}
+    for base in reversed(kind.__mro__):  # typing.get_type_hints of Python 3.10 refuses KW_ONLY
+        hints |= inspect.get_annotations(base, eval_str=True)
     found = []
     for field in dataclasses.fields(kind):
         hint, note = hints[field.name], None
