@@ -65,7 +65,7 @@ class Shape:
 
 
 def mesh_shapes(folder: Path, scans: bool) -> list[Shape]:
-    """A shape for each mesh of a folder: its scans, or PCPNet's six categories.
+    """Return a shape for each mesh of a folder: its scans, or PCPNet's six categories.
 
     Raises:
         InputError: there are no meshes, or two of one name.
@@ -85,7 +85,7 @@ def solid_shapes(count: int, scans: bool) -> list[Shape]:
 
 
 def scene_mesh_shapes(folder: Path) -> list[Shape]:
-    """A shape for each reconstructed scene: a mesh in a folder, or in a folder of it as SceneNN has them.
+    """Return a shape for each reconstructed scene: a mesh in a folder, or in a folder of it as SceneNN has them.
 
     Raises:
         InputError: there are no meshes, or two of one name.

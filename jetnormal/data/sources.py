@@ -65,7 +65,7 @@ class DataSource(Protocol):
         ...
 
     def cloud(self, epoch: int, index: int, seed: int) -> LabeledCloud:
-        """The cloud at `index` of `epoch`; equal arguments give equal clouds."""
+        """Return the cloud at `index` of `epoch`; equal arguments give equal clouds."""
         ...
 
 
@@ -246,5 +246,5 @@ def _load_sampler(path: Path) -> MeshSampler:
 
 
 def meshes_in(directory: Path) -> list[Path]:
-    """The mesh files of a folder, by name."""
+    """Return the mesh files of a folder, by name."""
     return sorted(path for path in directory.glob("*") if path.suffix.lower() in MESH_SUFFIXES)

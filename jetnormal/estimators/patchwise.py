@@ -141,7 +141,7 @@ class PatchEstimator:
 
 
 def pca_estimator(k: int = 30, batch_size: int | None = None, threads: int | None = None) -> PatchEstimator:
-    """The normal of the plane through each point's k neighbors (Hoppe et al., 1992)."""
+    """Make an estimator of the plane through each point's k neighbors (Hoppe et al., 1992)."""
 
     def fit(patches: Patches) -> _Fit:
         normals = torch.tensor([0.0, 0.0, 1.0]).expand(len(patches.points), 3)
@@ -156,7 +156,7 @@ def pca_estimator(k: int = 30, batch_size: int | None = None, threads: int | Non
 def jet_estimator(
     k: int = 60, order: int = 2, batch_size: int | None = None, threads: int | None = None
 ) -> PatchEstimator:
-    """The normal of a jet fitted to each point's k neighbors over their plane (Cazals and Pouget, 2005)."""
+    """Make an estimator of a jet over the plane of each point's k neighbors (Cazals and Pouget, 2005)."""
     if not 1 <= order <= MAX_ORDER:
         raise UsageError(f"the order of a jet is 1 to {MAX_ORDER}, not {order}")
 
@@ -179,7 +179,7 @@ def network_estimator(
     device: str = "cpu",
     threads: int | None = None,
 ) -> PatchEstimator:
-    """A patch network; `k` overrides the patch size that it was trained with.
+    """Make an estimator of a patch network; `k` overrides the patch size that it was trained with.
 
     Where the CPU can, its matrix products run in bfloat16: features are rounded, but rotations, jets and neighbors are
     not. The RMSE of deepfit-small on the validation benchmark moves by 0.01 degrees.
@@ -203,7 +203,7 @@ def network_estimator(
 
 
 def agreement(before: Tensor, after: Tensor) -> Tensor:
-    """(B,) agreement of directions, (B, 3) unit vectors: 1 - angle / 90 degrees."""
+    """Return (B,) agreement of directions, (B, 3) unit vectors: 1 - angle / 90 degrees."""
     sine = torch.linalg.cross(before, after).square().sum(1).sqrt()
     cosine = (before * after).sum(1).abs()
     return 1 - torch.atan2(sine, cosine) / (math.pi / 2)

@@ -113,7 +113,7 @@ class CloudEstimator:
 
 
 def cloud_estimator(name: str, path: Path, device: str = "cpu", threads: int | None = None) -> CloudEstimator:
-    """The estimator of a model file: by NumPy on the CPU, by PyTorch on a CUDA device.
+    """Make the estimator of a model file: by NumPy on the CPU, by PyTorch on a CUDA device.
 
     Raises:
         ModelError: the file is damaged, or holds another network.
@@ -130,7 +130,7 @@ def cloud_estimator(name: str, path: Path, device: str = "cpu", threads: int | N
 
 
 def on_device(network: CloudFit, device: str) -> Callable[[Pyramid, int | None], Found]:
-    """A network in PyTorch as the `find` of an estimator."""
+    """Return a network in PyTorch as the `find` of an estimator."""
     import torch
 
     from jetnormal.support.device import torch_threads

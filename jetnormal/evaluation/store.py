@@ -86,7 +86,7 @@ class ResultStore:
 
 
 def digest(*paths: Path) -> str:
-    """A fingerprint of what is in the files, in their order.
+    """Return a fingerprint of what is in the files, in their order.
 
     Raises:
         InputError: one cannot be read.

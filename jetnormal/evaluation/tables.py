@@ -157,7 +157,7 @@ def _markdown_row(cells: list[str]) -> str:
 
 
 def latex(tables: list[Table]) -> str:
-    """Tables in LaTeX, for the package booktabs, the best of each column bold."""
+    """Write tables in LaTeX, for the package booktabs, the best of each column bold."""
     lines: list[str] = []
     for table in tables:
         lines += [f"% {table.title}", rf"\begin{{tabular}}{{l{'r' * (len(table.columns) - 1)}}}", r"\toprule"]

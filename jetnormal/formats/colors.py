@@ -10,7 +10,7 @@ from jetnormal.formats.storage import COLORS, unpack_colors
 
 
 def point_colors(cloud: Cloud) -> NDArray[np.float64] | None:
-    """The cloud's own colors, (N, 3) from 0 to 1, or None.
+    """Return the cloud's own colors, (N, 3) from 0 to 1, or None.
 
     They are the attributes red, green and blue, or PCL's packed rgb or rgba. Whole numbers reach up to what their
     type holds, those of wider types than 16 bits to 255, and so do those of 16 bits where none exceeds 255, as many
@@ -30,5 +30,5 @@ def point_colors(cloud: Cloud) -> NDArray[np.float64] | None:
 
 
 def normal_colors(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The usual code for directions (N, 3): x in red, y in green, z in blue, from -1 at 0 to 1 at 1."""
+    """Return the usual code for directions (N, 3): x in red, y in green, z in blue, from -1 at 0 to 1 at 1."""
     return np.clip(0.5 + 0.5 * normals, 0, 1)

@@ -44,7 +44,7 @@ class UniqueNames:
 
 
 def canonical_names(names: Collection[str], path: Path) -> dict[str, str]:
-    """Which of a file's columns are the coordinates and the normals, whatever their spelling and case.
+    """Find which of a file's columns are the coordinates and the normals, whatever their spelling and case.
 
     Returns:
         The file's names of them mapped to ``x y z`` and, where all three are there, ``nx ny nz``.

@@ -41,7 +41,7 @@ class Details:
 
 
 def children_of(e57: Any, node: Any) -> dict[str, Any]:
-    """The children of a structure or vector, each as its own class."""
+    """Return the children of a structure or vector, each as its own class."""
     if node is None or not isinstance(node, (e57.StructureNode, e57.VectorNode)):
         return {}
     kinds = {
@@ -62,7 +62,7 @@ def children_of(e57: Any, node: Any) -> dict[str, Any]:
 
 
 def tree_of(e57: Any, node: Any) -> Any:
-    """A node's values without the library: a dict, a list, or the class of a node and its arguments."""
+    """Return a node's values without the library: a dict, a list, or the class of a node and its arguments."""
     if isinstance(node, e57.StructureNode):
         return {name: tree_of(e57, child) for name, child in children_of(e57, node).items()}
     if isinstance(node, e57.VectorNode):
@@ -83,7 +83,7 @@ def tree_of(e57: Any, node: Any) -> Any:
 
 
 def buffer_type(kind: np.dtype[Any]) -> np.dtype[Any]:
-    """What the library takes: integers of at most 2 bytes or C's long long, and floats.
+    """Find what the library takes: integers of at most 2 bytes or C's long long, and floats.
 
     NumPy's int64 is C's long where that has 8 bytes, which the library takes for one of 4.
     """
@@ -91,7 +91,7 @@ def buffer_type(kind: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def node_of(e57: Any, image: Any, tree: Any) -> Any:
-    """The node that `tree_of` describes."""
+    """Return the node that `tree_of` describes."""
     if isinstance(tree, dict):
         node = e57.StructureNode(image)
         for name, child in tree.items():

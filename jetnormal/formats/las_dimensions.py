@@ -22,7 +22,7 @@ _FINEST_SCALE = 12  # decimals
 
 
 def decimal_scale(values: NDArray[np.float64]) -> float:
-    """The coarsest power of ten of which all are multiples; else the finest that 31 bits allow."""
+    """Return the coarsest power of ten of which all are multiples; else the finest that 31 bits allow."""
     finest = finest_scale(float(np.abs(values).max(initial=0)))
     scale = max(1.0, finest)
     while scale > finest:
@@ -34,7 +34,7 @@ def decimal_scale(values: NDArray[np.float64]) -> float:
 
 
 def finest_scale(largest: float) -> float:
-    """The finest power of ten of which `largest` is a multiple that fits 31 bits."""
+    """Return the finest power of ten of which `largest` is a multiple that fits 31 bits."""
     exponent = -_FINEST_SCALE
     while largest / _power_of_ten(exponent) > _LARGEST:
         exponent += 1
@@ -64,7 +64,7 @@ def to_integers(
 
 
 def sort_columns(columns: Columns, point_format: Any, *, is_new: bool) -> tuple[Columns, Columns, list[str]]:
-    """What the point format has a dimension for, what it has not, and what had to be changed to fit.
+    """Find what the point format has a dimension for, what it has not, and what had to be changed to fit.
 
     Colors and intensities of other formats are spread over the 16 bits that LAS has for them.
     """
@@ -133,6 +133,6 @@ def declare(laspy: Any, header: Any, columns: Columns) -> list[str]:
 
 
 def describe(dimension: Any) -> bytes:
-    """The 192 bytes that tell a reader the name and the type of an extra dimension."""
+    """Return the 192 bytes that tell a reader the name and the type of an extra dimension."""
     code = TYPES[dimension.dtype.str[1:]]
     return struct.pack("<2xBB32s124x32s", code, 0, dimension.name.encode(), b"")

@@ -34,7 +34,7 @@ class Record(NamedTuple):
 
 
 def read_records(stream: BinaryIO, path: Path) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
-    """The records as bytes: laspy interprets some of them, and writes these differently."""
+    """Return the records as bytes: laspy interprets some of them, and writes these differently."""
     stream.seek(0)
     head = stream.read(375)
     size, points, count = struct.unpack_from("<HII", head, 94)

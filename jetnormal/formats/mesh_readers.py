@@ -204,12 +204,12 @@ def _checked(text: bytes, path: Path) -> dict[str, Any]:
 
 
 def to_y_up(vectors: Rows) -> Rows:
-    """Vectors (N, 3) of a frame in which z is up in glTF's, in which y is."""
+    """Turn vectors (N, 3) of a frame in which z is up into glTF's, in which y is."""
     return vectors[:, [0, 2, 1]] * [1, 1, -1]
 
 
 def from_y_up(vectors: Rows) -> Rows:
-    """The reverse of `to_y_up`."""
+    """Undo `to_y_up`."""
     return vectors[:, [0, 2, 1]] * [1, -1, 1]
 
 
@@ -244,5 +244,5 @@ def to_light(colors: Rows) -> Rows:
 
 
 def to_screen(light: Rows) -> Rows:
-    """The reverse of `to_light`."""
+    """Undo `to_light`."""
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)

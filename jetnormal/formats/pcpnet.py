@@ -60,7 +60,7 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def shape_of(name: str, category: str) -> str:
-    """The shape that a cloud of a category was made from, as far as its name tells."""
+    """Return the shape that a cloud of a category was made from, as far as its name tells."""
     return split_name(name)[0].removesuffix(f"_{category}")
 
 
@@ -70,7 +70,7 @@ def category_list(category: str) -> str:
 
 
 def categorize(directory: Path, names: Iterable[str]) -> dict[str, str]:
-    """The category of each cloud: by the list in the folder that names it, else by its own name.
+    """Return the category of each cloud: by the list in the folder that names it, else by its own name.
 
     A list testset_CATEGORY.txt makes a category. A cloud that several lists name belongs to the one of PCPNet, else to
     the shortest one.
@@ -92,7 +92,7 @@ def clean_twin(directory: Path, name: str) -> str | None:
 
 
 def cloud_names(directory: Path, list_file: str | None) -> list[str]:
-    """Names of the clouds that a list names, one per line, or without a list of all that have normals.
+    """Return the names of the clouds that a list names, one per line, or without a list of all that have normals.
 
     Raises:
         InputError: The list is missing, a cloud that it names lacks a file, or there are no clouds.
@@ -111,7 +111,7 @@ def cloud_names(directory: Path, list_file: str | None) -> list[str]:
 
 
 def read_list(path: Path) -> list[str]:
-    """Names in a list of clouds, one per line.
+    """Return the names in a list of clouds, one per line.
 
     Raises:
         InputError: The list is missing.
@@ -215,7 +215,7 @@ def query_count(directory: Path, name: str, all_points: bool = False) -> int:
 
 
 def file_of(directory: Path, name: str, suffix: str) -> Path:
-    """A file of a cloud; names contain dots, so `Path.with_suffix` would not do."""
+    """Return the path of a file of a cloud; names contain dots, so `Path.with_suffix` would not do."""
     return directory / f"{name}.{suffix}"
 
 

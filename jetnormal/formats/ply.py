@@ -249,7 +249,7 @@ class _Rows:
 
 
 def describe_elements(elements: Sequence[Element]) -> str:
-    """What to call some elements in a message, such as ``element 'face' (12 rows)``."""
+    """Name some elements as in a message, such as ``element 'face' (12 rows)``."""
     return ", ".join(f"element {element.name!r} ({element.count} rows)" for element in elements)
 
 

@@ -20,7 +20,7 @@ LIST_NAMES = ("vertex_indices", "vertex_index")
 
 
 def polygons_of(extra: PlyExtra, path: Path) -> Sequence[NDArray[Any]] | NDArray[Any]:
-    """The corners of each face: an array (F, 3) if all are triangles, or F arrays (n,); none without faces.
+    """Return the corners of each face: an array (F, 3) if all are triangles, or F arrays (n,); none without faces.
 
     Raises:
         InputError: the faces have no list of vertices, or rows are damaged.

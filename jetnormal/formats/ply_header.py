@@ -68,7 +68,7 @@ class Element:
         return all(prop.length_type is None for prop in self.properties)
 
     def smallest_size(self, encoding: str) -> int:
-        """The least bytes that the rows take: lists may be empty, a number in text a digit and a blank."""
+        """Return the least bytes that the rows take: lists may be empty, a number in text a digit and a blank."""
         if encoding == "ascii":
             return self.count * 2 * len(self.properties)
         return self.count * sum(np.dtype(prop.length_type or prop.type).itemsize for prop in self.properties)

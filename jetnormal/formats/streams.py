@@ -135,6 +135,6 @@ def from_chunks(
 
 
 def memory_of(cloud: Cloud) -> int:
-    """Bytes that a row of a cloud takes in memory."""
+    """Return the bytes that a row of a cloud takes in memory."""
     arrays = [cloud.points, cloud.normals, cloud.source.sensors, *cloud.attributes.values()]
     return sum(int(a.itemsize * np.prod(a.shape[1:])) for a in arrays if a is not None)

@@ -158,7 +158,7 @@ def _are_unit(columns: Sequence[NDArray[Any]]) -> bool:
 
 
 def are_bytes(values: NDArray[Any]) -> bool:
-    """Whether all values are integers from 0 to 255."""
+    """Tell whether all values are integers from 0 to 255."""
     return values.size > 0 and bool(((values >= 0) & (values <= 255) & (values == np.rint(values))).all())
 
 

@@ -129,7 +129,7 @@ def find_coordinates(names: Sequence[str]) -> dict[str, str] | None:
 
 
 def split_line(text: str, decimal_comma: bool = False) -> tuple[list[str], str]:
-    """The values of a line, without quotes, and the delimiter: a semicolon, comma, tab or blank.
+    """Return the values of a line, without quotes, and the delimiter: a semicolon, comma, tab or blank.
 
     Numbers may be parted by tabs and blanks in any mixture; between names, a tab keeps the blanks within them.
     """
@@ -142,7 +142,7 @@ def split_line(text: str, decimal_comma: bool = False) -> tuple[list[str], str]:
 
 
 def is_number(text: str, decimal_comma: bool = False) -> bool:
-    """Whether a word is a number, perhaps with Fortran's exponent."""
+    """Tell whether a word is a number, perhaps with Fortran's exponent."""
     if decimal_comma:
         text = text.replace(",", ".")
     try:

@@ -28,7 +28,7 @@ class Graph:
     neighbors: Tensor
 
     def offsets(self, rows: slice | Tensor) -> Tensor:
-        """(n, k, 3) float32 from some of the points to their neighbors."""
+        """Return (n, k, 3) float32 from some of the points to their neighbors."""
         return (self.positions[self.neighbors[rows]] - self.positions[rows][:, None]).float()
 
 

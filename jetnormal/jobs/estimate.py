@@ -71,7 +71,7 @@ class Result:
         return np.asarray(np.isfinite(self.normals).all(axis=-1))
 
     def shaped(self, shape: tuple[int, ...]) -> Result:
-        """The same, with arrays of rows in a shape such as (H, W)."""
+        """Return the same, with arrays of rows in a shape such as (H, W)."""
         curvatures = None if self.curvatures is None else self.curvatures.reshape(*shape, 2)
         return replace(
             self,

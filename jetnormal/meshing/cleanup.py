@@ -150,7 +150,7 @@ def without_specks(mesh: Mesh, points: Floats, least: int | Literal["largest"] |
 
 
 def smoothed(mesh: Mesh, rounds: int) -> Mesh:
-    """The mesh without colors after rounds of smoothing that does not shrink it (Taubin, SIGGRAPH 1995)."""
+    """Return the mesh without colors after rounds of smoothing that does not shrink it (Taubin, SIGGRAPH 1995)."""
     found = _to_open3d(mesh).filter_smooth_taubin(number_of_iterations=rounds)
     return Mesh(np.array(found.vertices), mesh.faces)
 

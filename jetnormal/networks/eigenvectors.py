@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def smallest_eigenvector(matrix: Tensor) -> Tensor:
-    """(N, 3) unit eigenvectors of the smallest eigenvalues of symmetric (N, 3, 3) matrices, of any sign."""
+    """Return (N, 3) unit eigenvectors of the smallest eigenvalues of symmetric (N, 3, 3) matrices, of any sign."""
     return _SmallestEigenvector.apply(matrix)
 
 

@@ -56,7 +56,7 @@ class Camera:
     height: int
 
     def to_frame(self, vectors: Floats) -> Floats:
-        """Points or directions of the scene, (N, 3), in the camera's frame."""
+        """Turn points or directions of the scene, (N, 3), into the camera's frame."""
         return vectors @ self.axes.T
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
@@ -65,14 +65,14 @@ class Camera:
         return self.corner + self.scale * points[:, :2] * [1, -1] / depth[:, None], depth
 
     def rays(self) -> Floats:
-        """(H, W, 3) directions through the middles of the pixels, in its frame, with a depth of 1."""
+        """Return (H, W, 3) directions through the middles of the pixels, in its frame, with a depth of 1."""
         column, row = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         x, y = (column - self.corner[0]) / self.scale, (self.corner[1] - row) / self.scale
         return np.stack([x, y, np.full_like(x, -1.0)], axis=-1)
 
 
 def make_camera(points: Floats, towards: Floats, size: int) -> Camera:
-    """The camera in a direction that has all points but outliers in its picture.
+    """Make the camera in a direction that has all points but outliers in its picture.
 
     Args:
         points: (N, 3), of the scene.

@@ -22,7 +22,7 @@ OCCLUSION_STRENGTH = 1.1
 
 
 def develop(surfels: Surfels, camera: Camera, radius: float, supersampling: int, background: str) -> NDArray[np.uint8]:
-    """A picture (H, W, 3) uint8 of what a camera sees.
+    """Make a picture (H, W, 3) uint8 of what a camera sees.
 
     Args:
         surfels: what is seen; height and width are multiples of the supersampling.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 def encode_png(image: NDArray[Any]) -> bytes:
-    """An image (H, W, 3) uint8 as the bytes of a PNG file."""
+    """Encode an image (H, W, 3) uint8 as the bytes of a PNG file."""
     height, width, _ = image.shape
     # Each row as its difference from the row above, which compresses well.
     above = np.concatenate([np.zeros_like(image[:1]), image[:-1]])

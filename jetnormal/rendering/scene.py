@@ -48,7 +48,7 @@ class Scene:
     turn: Floats = field(default_factory=lambda: np.eye(3))
 
     def turned_up(self, up: Floats) -> Scene:
-        """The scene, turned by the smallest rotation that brings direction `up` (3,) to z; colors stay."""
+        """Return the scene, turned by the smallest rotation that brings direction `up` (3,) to z; colors stay."""
         from scipy.spatial.transform import Rotation
 
         axis = np.cross(up, [0.0, 0.0, 1.0])
@@ -58,7 +58,7 @@ class Scene:
         return replace(self, points=self.points @ turn.T, normals=self.normals @ turn.T, turn=turn @ self.turn)
 
     def in_file_axes(self) -> Scene:
-        """The scene as it was before it was turned."""
+        """Return the scene as it was before it was turned."""
         return replace(self, points=self.points @ self.turn, normals=self.normals @ self.turn, turn=np.eye(3))
 
     @property
@@ -68,7 +68,7 @@ class Scene:
 
 
 def cloud_scene(cloud: Cloud, coloring: str = "auto") -> Scene:
-    """A cloud to be drawn; rows without finite coordinates are left out.
+    """Make the scene of a cloud; rows without finite coordinates are left out.
 
     Args:
         cloud: the cloud.
@@ -99,7 +99,7 @@ def cloud_scene(cloud: Cloud, coloring: str = "auto") -> Scene:
 
 
 def mesh_scene(mesh: Mesh, coloring: str = "auto") -> Scene:
-    """A mesh to be drawn, colored as in `cloud_scene`, but "auto" takes its own colors, else none.
+    """Make the scene of a mesh, colored as in `cloud_scene`, but "auto" takes its own colors, else none.
 
     Corners keep the normal of their face where that of the vertex is far from it, so that edges stay sharp; but a rough
     surface, such as that of a scan, is shaded smoothly all over.

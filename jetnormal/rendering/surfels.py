@@ -46,7 +46,7 @@ class Surfels:
 
 
 def see(scene: Scene, camera: Camera) -> Surfels:
-    """What the camera sees of a scene.
+    """Find what the camera sees of a scene.
 
     Raises:
         ResourceError: the scene is a mesh, and Open3D is not there.

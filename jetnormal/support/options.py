@@ -112,7 +112,7 @@ _Made = TypeVar("_Made")
 
 
 def fields(kind: type) -> tuple[Field, ...]:
-    """The fields of an option dataclass, in their order."""
+    """Return the fields of an option dataclass, in their order."""
     hints: dict[str, Any] = {}
     for base in reversed(kind.__mro__):  # typing.get_type_hints of Python 3.10 refuses KW_ONLY
         hints |= inspect.get_annotations(base, eval_str=True)

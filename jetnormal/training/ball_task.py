@@ -91,7 +91,7 @@ class BallTask:
         return {"loss": loss.item()}
 
     def held_out(self, source: DataSource) -> list[BallBatch]:
-        """Some balls from each held-out cloud of a source."""
+        """Draw some balls from each held-out cloud of a source."""
         seed = self._options.seed
         batches = []
         for number in range(source.clouds_per_epoch):
@@ -119,7 +119,7 @@ class BallTask:
 def labeled_balls(
     cloud: LabeledCloud, index: BallIndex, queries: NDArray[np.int64], config: PCPNetConfig | NestiNetConfig
 ) -> BallBatch:
-    """The balls around (B,) queries of a cloud, with the true normals of these."""
+    """Return the balls around (B,) queries of a cloud, with the true normals of these."""
     balls = index.balls(queries, config.radii, config.points, config.principal_axes)
     normals = torch.from_numpy(cloud.normals[queries]).float()
     return BallBatch(balls.points, balls.counts, (normals[:, None] @ balls.frame)[:, 0])

@@ -71,7 +71,7 @@ class QuerySampler(Generic[_Index, _Made]):
         return self.source.clouds_per_epoch * self.queries_per_cloud // self.batch_size
 
     def epoch(self, epoch: int, first: int = 0) -> Iterator[_Made]:
-        """The batches of an epoch from number `first` on; a thread prepares them ahead.
+        """Return the batches of an epoch from number `first` on; a thread prepares them ahead.
 
         Raises:
             InputError: if a cloud cannot be used.
@@ -123,12 +123,12 @@ class PatchSampler(QuerySampler[NeighborIndex, Batch]):
 
 
 def labeled_points(cloud: LabeledCloud) -> NDArray[np.int64]:
-    """Rows of the points of a cloud that have a true normal."""
+    """Find the rows of the points of a cloud that have a true normal."""
     return np.arange(len(cloud.points)) if cloud.labeled is None else np.flatnonzero(cloud.labeled)
 
 
 def labeled_patches(cloud: LabeledCloud, index: NeighborIndex, queries: NDArray[np.int64], neighbors: int) -> Batch:
-    """The patches around (B,) queries of a cloud, with the true normals of their points.
+    """Return the patches around (B,) queries of a cloud, with the true normals of their points.
 
     Raises:
         InputError: if the cloud has fewer points than a patch.

@@ -71,7 +71,7 @@ class CloudTask:
         return crops
 
     def errors(self, network: CloudFit, held_out: list[Crop]) -> tuple[float, ...]:
-        """Means over the crops of the RMSE in degrees of the normals, and of those before the last vote."""
+        """Return means over the crops of the RMSE in degrees of the normals, and of those before the last vote."""
 
         @torch.inference_mode()
         def measure(crop: Crop) -> list[float]:

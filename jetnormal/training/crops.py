@@ -57,7 +57,7 @@ class CropSampler:
         return self.source.clouds_per_epoch * self.crops_per_cloud // self.batch_size
 
     def epoch(self, epoch: int, first: int = 0) -> Iterator[list[Crop]]:
-        """The batches of an epoch from number `first` on; a thread prepares a window of clouds ahead."""
+        """Return the batches of an epoch from number `first` on; a thread prepares a window of clouds ahead."""
         window, skip = divmod(first * self.batch_size, WINDOW * self.crops_per_cloud)
         windows = range(window, -(-self.source.clouds_per_epoch // WINDOW))
         batch: list[Crop] = []
@@ -82,7 +82,7 @@ class CropSampler:
 
 
 def draw_crops(cloud: LabeledCloud, points: int, count: int, rng: np.random.Generator) -> list[Crop]:
-    """Crops of a cloud around random labeled points of it, the first now and then sparse; no point comes twice.
+    """Draw crops of a cloud around random labeled points of it, the first now and then sparse; no point comes twice.
 
     Args:
         cloud: with at least one labeled point.

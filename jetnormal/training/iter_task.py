@@ -133,7 +133,7 @@ class IterTask:
         return gradients, losses
 
     def held_out(self, source: DataSource) -> list[RoundCrop]:
-        """Some crops from each held-out cloud of a source."""
+        """Draw some crops from each held-out cloud of a source."""
         seed, turned = self._options.seed, Turned(source)
         crops = []
         for number in range(source.clouds_per_epoch):

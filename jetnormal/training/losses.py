@@ -59,7 +59,7 @@ def z_direction_loss(rotation: Tensor, normals: Tensor) -> Tensor:
 
 
 def total_loss(prediction: PatchPrediction, neighbor_normals: Tensor, factors: LossWeights) -> dict[str, Tensor]:
-    """All terms and their weighted sum, "loss" (eq. 12).
+    """Return all terms and their weighted sum, "loss" (eq. 12).
 
     Args:
         prediction: of a batch, with the neighbors' normals.
@@ -85,7 +85,7 @@ def total_loss(prediction: PatchPrediction, neighbor_normals: Tensor, factors: L
 
 
 def cloudfit_loss(prediction: CloudPrediction, normals: Tensor, learned: Tensor) -> dict[str, Tensor]:
-    """The terms of CloudFit's loss on a crop and their weighted sum, "loss".
+    """Return the terms of CloudFit's loss on a crop and their weighted sum, "loss".
 
     Each compares directions by the root mean square over the crop, as the measure of the field does over a cloud.
 

@@ -41,7 +41,7 @@ class Sampler(Protocol, Generic[_Drawn]):
     def batches_per_epoch(self) -> int: ...
 
     def epoch(self, epoch: int, first: int = 0) -> Iterator[_Drawn]:
-        """The batches of an epoch from number `first` on."""
+        """Return the batches of an epoch from number `first` on."""
         ...
 
 
@@ -186,7 +186,7 @@ class Trainer(Generic[_Batch]):
 
 
 def learning_rate(share: float, options: TrainOptions) -> float:
-    """The rate after a share, in [0, 1), of the training."""
+    """Return the rate after a share, in [0, 1), of the training."""
     if options.schedule == "step":
         return options.learning_rate * 0.1 ** sum(share >= drop for drop in DROPS)
     if options.schedule == "constant":
@@ -196,7 +196,7 @@ def learning_rate(share: float, options: TrainOptions) -> float:
 
 
 def all_finite(network: torch.nn.Module) -> bool:
-    """Whether all weights and statistics of a network are finite numbers."""
+    """Tell whether all weights and statistics of a network are finite numbers."""
     tensors = [value for value in network.state_dict().values() if value.is_floating_point()]
     return bool(torch.stack([torch.isfinite(value).all() for value in tensors]).all())
 

@@ -85,7 +85,7 @@ def lidar_errors(rng: np.random.Generator, distance: float, sigma: float) -> Ran
 
 
 def station_errors(rng: np.random.Generator, distance: float, sigma: float) -> RangeErrors:
-    """A terrestrial scanner: small independent errors, mixed pixels at edges."""
+    """Return the errors of a terrestrial scanner: small independent ones, mixed pixels at edges."""
     return RangeErrors(
         distance,
         white=sigma,
@@ -98,5 +98,5 @@ def station_errors(rng: np.random.Generator, distance: float, sigma: float) -> R
 
 
 def camera_errors(rng: np.random.Generator, distance: float, sigma: float) -> RangeErrors:
-    """A depth camera of one kind or the other."""
+    """Return the errors of a depth camera of one kind or the other."""
     return (light_errors if rng.random() < 0.6 else flight_errors)(rng, distance, sigma)

@@ -16,7 +16,7 @@ THINNED_SHARE = 0.15
 
 
 def handled(scan: Scan, rng: np.random.Generator) -> Scan:
-    """What is done to a cloud between the scanner and the file."""
+    """Do to a cloud what happens between the scanner and the file."""
     if rng.random() < OUTLIERS_SHARE:
         scan = _with_outliers(scan, rng)
     if rng.random() < THINNED_SHARE:

@@ -150,7 +150,7 @@ def _closeness(rng: np.random.Generator) -> float:
 
 
 def pose(rng: np.random.Generator, distance: float) -> tuple[Floats, Floats]:
-    """An eye at a distance from the origin in any direction, and axes (right, up, forward) of any roll."""
+    """Return an eye at a distance from the origin in any direction, and axes (right, up, forward) of any roll."""
     eye = distance * unit(rng.normal(size=3))
     return eye, axes_along(-eye + rng.normal(scale=0.03, size=3), rng.normal(size=3))
 

@@ -24,7 +24,7 @@ class Raster(Protocol):
         ...
 
     def coordinates(self, points: Floats, /) -> Floats:
-        """The (u, v), (N, 2), of the rays that pass through points (N, 3)."""
+        """Return the (u, v), (N, 2), of the rays that pass through points (N, 3)."""
         ...
 
 

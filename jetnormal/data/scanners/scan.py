@@ -37,7 +37,7 @@ class Scan:
         return len(self.points)
 
     def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Scan:
-        """The scan of some of the points."""
+        """Return the scan of some of the points."""
         return Scan(self.kind, self.points[rows], self.normals[rows], self.sensors[rows], self.labeled[rows])
 
 
@@ -64,7 +64,7 @@ def _misplaced(view: Scan, rng: np.random.Generator, size: float) -> Scan:
 
 
 def axes_along(forward: Floats, up: Floats) -> Floats:
-    """Rows right, up and forward of a frame, (3, 3); up is made perpendicular."""
+    """Return rows right, up and forward of a frame, (3, 3); up is made perpendicular."""
     forward = unit(forward)
     right = unit(np.cross(up, forward))
     return np.stack([right, np.cross(forward, right), forward])

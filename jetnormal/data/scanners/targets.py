@@ -44,7 +44,7 @@ class Target(Protocol):
         ...
 
     def visible(self, points: Floats, eyes: Floats, /) -> NDArray[np.bool_]:
-        """Which of the points (N, 3) of the surface nothing hides from the eyes (N, 3), (N,)."""
+        """Find which of the points (N, 3) of the surface nothing hides from the eyes (N, 3), (N,)."""
         ...
 
     def sample(self, count: int, rng: np.random.Generator, /) -> tuple[Floats, Floats]:
@@ -211,12 +211,12 @@ class RayCaster:
         self._scene.add_triangles(tensor(vertices.astype(np.float32)), tensor(faces.astype(np.uint32)))
 
     def first(self, origins: Floats, directions: Floats) -> Found:
-        """What rays (N, 3) with unit directions (N, 3) meet first."""
+        """Find what rays (N, 3) with unit directions (N, 3) meet first."""
         parts = [self._cast(rays) for rays in self._chunks(origins, directions)]
         return Found(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def visible(self, points: Floats, eyes: Floats) -> NDArray[np.bool_]:
-        """Whether the segments between points (N, 3) and eyes (N, 3) meet nothing, (N,)."""
+        """Tell whether the segments between points (N, 3) and eyes (N, 3) meet nothing, (N,)."""
         offset = eyes - points
         length = np.linalg.norm(offset, axis=1, keepdims=True)
         share = self.CLEARANCE / np.maximum(length, 2 * self.CLEARANCE)

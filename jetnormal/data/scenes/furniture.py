@@ -24,7 +24,7 @@ from jetnormal.data.solids.starshaped import BumpySphere, Superellipsoid
 
 
 def table(rng: Rng) -> Piece:
-    """A table with what lies on it."""
+    """Make a table with what lies on it."""
     x, y, z = rng.uniform(0.5, 1.0) * rng.uniform(1, 2), rng.uniform(0.5, 1.0), rng.uniform(0.4, 1.0)
     thick = rng.uniform(0.015, 0.06)
     if rng.random() < 0.7:
@@ -46,7 +46,7 @@ def _leg(rng: Rng, foot: tuple[float, float], height: float) -> Piece:
 
 
 def small(rng: Rng) -> Piece:
-    """A bottle, bowl, book, screen, ball or odd thing."""
+    """Make a bottle, bowl, book, screen, ball or odd thing."""
     kind = rng.integers(6)
     if kind == 0:
         return vase(rng, rng.uniform(0.1, 0.35))
@@ -66,7 +66,7 @@ def small(rng: Rng) -> Piece:
 
 
 def blob(rng: Rng, size: float) -> Piece:
-    """A superellipsoid or a bumpy sphere that lies on the ground."""
+    """Make a superellipsoid or a bumpy sphere that lies on the ground."""
     if rng.random() < 0.5:
         axes = rng.uniform(0.5, 1.0, 3)
         return star(Superellipsoid(axes, rng.uniform(2, 8)), [0, 0, size * axes[2]], size)
@@ -75,12 +75,12 @@ def blob(rng: Rng, size: float) -> Piece:
 
 
 def ottoman(rng: Rng) -> Piece:
-    """A soft or odd thing on the floor."""
+    """Make a soft or odd thing on the floor."""
     return blob(rng, rng.uniform(0.15, 0.5))
 
 
 def vase(rng: Rng, height: float) -> Piece:
-    """A turned vessel with a smooth profile."""
+    """Make a turned vessel with a smooth profile."""
     base, depth = height * rng.uniform(0.15, 0.4), rng.uniform(0.0, 0.4)
     frequency, phase = rng.uniform(0.5, 2.0) * 2 * np.pi / height, rng.uniform(0, 6)
 
@@ -95,7 +95,7 @@ def vase(rng: Rng, height: float) -> Piece:
 
 
 def bowl(rng: Rng, radius: float) -> Piece:
-    """An open vessel with a wall."""
+    """Make an open vessel with a wall."""
     thick = radius * rng.uniform(0.03, 0.1)
     height = radius * rng.uniform(0.5, 2.0)
     foot = radius * rng.uniform(0.5, 1.0)
@@ -103,7 +103,7 @@ def bowl(rng: Rng, radius: float) -> Piece:
 
 
 def chair(rng: Rng) -> Piece:
-    """A chair or a stool."""
+    """Make a chair or a stool."""
     seat, wide = rng.uniform(0.4, 0.5), rng.uniform(0.36, 0.5)
     pieces = [box([wide, wide, 0.03], [0, 0, seat])]
     pieces += [_leg(rng, (sx * (wide / 2 - 0.03), sy * (wide / 2 - 0.03)), seat) for sx in (-1, 1) for sy in (-1, 1)]
@@ -153,7 +153,7 @@ def shelf(rng: Rng) -> Piece:
 
 
 def cabinet(rng: Rng) -> Piece:
-    """A cupboard with doors and knobs, its back at y = 0."""
+    """Make a cupboard with doors and knobs, its back at y = 0."""
     wide, deep, height = rng.uniform(0.4, 1.8), rng.uniform(0.35, 0.65), rng.uniform(0.6, 2.2)
     pieces = [box([wide, deep, height], [0, -deep / 2, 0])]
     columns, rows = int(rng.integers(1, 4)), int(rng.integers(1, 5))
@@ -179,13 +179,13 @@ def radiator(rng: Rng) -> Piece:
 
 
 def curtain(rng: Rng) -> Piece:
-    """A curtain in folds, near y = 0."""
+    """Make a curtain in folds, near y = 0."""
     wide, height = rng.uniform(0.5, 1.5), rng.uniform(1.2, 2.3)
     return corrugated(wide, height, rng.uniform(0.08, 0.2), rng.uniform(0.01, 0.05)).placed([-wide / 2, -0.1, 0.05])
 
 
 def corrugated(length: float, height: float, wavelength: float, amplitude: float) -> Piece:
-    """A standing sheet in waves along x."""
+    """Make a standing sheet in waves along x."""
     frequency = 2 * np.pi / wavelength
 
     def offset(x: Floats) -> tuple[Floats, Floats]:
@@ -195,7 +195,7 @@ def corrugated(length: float, height: float, wavelength: float, amplitude: float
 
 
 def bed(rng: Rng) -> Piece:
-    """A bed, its head at y = 0."""
+    """Make a bed, its head at y = 0."""
     wide = rng.uniform(0.8, 1.8)
     pieces = [box([wide, 2.0, 0.25], [0, -1.0, 0.1]), box([wide, 0.05, rng.uniform(0.6, 1.1)], [0, -0.025, 0])]
     pieces.append(star(Superellipsoid([wide / 2, 0.98, 0.12], 6.0), [0, -1.0, 0.42]))
@@ -206,7 +206,7 @@ def bed(rng: Rng) -> Piece:
 
 
 def tub(rng: Rng) -> Piece:
-    """A sink or bath: a block with a hollow, its back at y = 0."""
+    """Make a sink or bath: a block with a hollow, its back at y = 0."""
     radius, height = rng.uniform(0.2, 0.5), rng.uniform(0.3, 0.9)
     inner = star(Superellipsoid([radius, radius, rng.uniform(0.1, 0.28)], rng.uniform(2, 5)), [0, 0, height])
     low = inner.vertices[inner.faces].max(1)[:, 2] <= height + 1e-9
@@ -216,21 +216,21 @@ def tub(rng: Rng) -> Piece:
 
 
 def lamp(rng: Rng) -> Piece:
-    """A standing lamp with an open shade."""
+    """Make a standing lamp with an open shade."""
     height, wide = rng.uniform(1.2, 1.8), rng.uniform(0.12, 0.25)
     shade = turned([wide, wide * rng.uniform(0.4, 1)], [height - 0.25, height])
     return joined([turned([0, 0.14, 0.14, 0], [0, 0, 0.02, 0.03]), frustum([0, 0, 0], [0, 0, height], 0.012), shade])
 
 
 def pot_plant(rng: Rng) -> Piece:
-    """A pot with leaves, which have no normals."""
+    """Make a pot with leaves, which have no normals."""
     size = rng.uniform(0.1, 0.3)
     crown = leaves(int(rng.integers(30, 300)), rng.uniform(0.03, 0.1), [size * 1.5, size * 1.5, size * 2], rng)
     return joined([bowl(rng, size), crown.placed([0, 0, 3 * size])])
 
 
 def steps(rng: Rng) -> Piece:
-    """A flight of stairs, its side at y = 0."""
+    """Make a flight of stairs, its side at y = 0."""
     count, wide = int(rng.integers(3, 14)), rng.uniform(0.8, 1.5)
     deep, high = rng.uniform(0.24, 0.32), rng.uniform(0.15, 0.19)
     stairs = [box([deep, wide, high * (number + 1)], [number * deep, -wide / 2, 0]) for number in range(count)]
@@ -243,7 +243,7 @@ def steps(rng: Rng) -> Piece:
 
 
 def tank(rng: Rng) -> Piece:
-    """A standing tank with round ends, on legs."""
+    """Make a standing tank with round ends, on legs."""
     radius, height = rng.uniform(0.2, 0.8), rng.uniform(0.5, 2.0)
     dome = Superellipsoid([radius, radius, radius * rng.uniform(0.3, 0.9)])
     low = 0.3 + radius

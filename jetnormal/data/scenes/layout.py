@@ -32,11 +32,11 @@ class Scene:
     trip: Floats
 
     def mesh(self) -> Mesh:
-        """The scene as triangles."""
+        """Return the scene as triangles."""
         return Mesh(self.surface.vertices, self.surface.faces)
 
     def sampler(self) -> MeshSampler:
-        """The scene as a mesh with its exact normals."""
+        """Return the scene as a mesh with its exact normals."""
         return MeshSampler(self.mesh(), self.surface.normals[self.surface.faces])
 
 
@@ -48,7 +48,7 @@ class Floor:
         self._taken: list[tuple[float, float, float]] = []
 
     def free(self, x: float, y: float, radius: float) -> bool:
-        """Whether a disc on the ground is free."""
+        """Tell whether a disc on the ground is free."""
         return all(np.hypot(x - a, y - b) > radius + r for a, b, r in self._taken)
 
     def take(self, x: float, y: float, radius: float) -> None:

@@ -20,7 +20,7 @@ from jetnormal.geometry.vectors import unit
 
 
 def car(rng: Rng) -> Piece:
-    """A car along x."""
+    """Make a car along x."""
     length, wide, high = rng.uniform(3.5, 5.2), rng.uniform(1.6, 2.0), rng.uniform(1.35, 2.2)
     waist = rng.uniform(0.75, 1.0)
     body = star(Superellipsoid([length / 2, wide / 2, (waist - 0.2) / 2], rng.uniform(4, 8)), [0, 0, (waist + 0.2) / 2])
@@ -38,7 +38,7 @@ def car(rng: Rng) -> Piece:
 
 
 def pole(rng: Rng) -> Piece:
-    """A street light, traffic sign, mast or bollard."""
+    """Make a street light, traffic sign, mast or bollard."""
     kind, height = rng.integers(3), rng.uniform(2.2, 9.0)
     if kind == 0:
         arm = rng.uniform(0.5, 2.0)
@@ -55,7 +55,7 @@ def pole(rng: Rng) -> Piece:
 
 
 def tree(rng: Rng) -> Piece:
-    """A tree with branches; its crown is closed, made of leaves, which have no normals, or bare."""
+    """Make a tree with branches; its crown is closed, made of leaves, which have no normals, or bare."""
     height, radius = rng.uniform(3.0, 14.0), rng.uniform(0.08, 0.35)
     lean = rng.normal(scale=0.06, size=2)
     top = np.array([*(lean * height), height * rng.uniform(0.5, 0.8)])
@@ -77,7 +77,7 @@ def tree(rng: Rng) -> Piece:
 
 
 def fence(rng: Rng) -> Piece:
-    """A low wall, hedge, or a fence of bars along x from 0."""
+    """Make a low wall, hedge, or a fence of bars along x from 0."""
     length, height = rng.uniform(2, 10), rng.uniform(0.6, 2.0)
     kind = rng.random()
     if kind < 0.3:
@@ -102,7 +102,7 @@ def person(rng: Rng) -> Piece:
 
 
 def house(rng: Rng) -> Piece:
-    """A detached house with windows, a pitched or flat roof, and a chimney."""
+    """Make a detached house with windows, a pitched or flat roof, and a chimney."""
     x, y, z = rng.uniform(7, 16), rng.uniform(6, 12), rng.uniform(3, 9)
     pieces = []
     for length, corner, yaw in (
@@ -127,13 +127,13 @@ def house(rng: Rng) -> Piece:
 
 
 def gable(x: float, y: float, z: float, rise: float) -> Piece:
-    """The triangle between a wall across x and the roof."""
+    """Make the triangle between a wall across x and the roof."""
     vertices = np.array([[x, -y / 2, z], [x, y / 2, z], [x, 0, z + rise]])
     return Piece(vertices, np.broadcast_to([1.0 if x > 0 else -1.0, 0, 0], (3, 3)), np.array([[0, 1, 2]]))
 
 
 def facade(rng: Rng, length: float, height: float) -> Piece:
-    """A wall with rows of windows set back in it, from x = 0; its outer side looks along y, at y = 0.3."""
+    """Make a wall with rows of windows set back in it, from x = 0; its outer side looks along y, at y = 0.3."""
     step, floor = rng.uniform(1.5, 3.5), rng.uniform(2.6, 3.6)
     wide, high, sill = step * rng.uniform(0.3, 0.6), rng.uniform(1.0, 1.7), rng.uniform(0.5, 1.0)
     openings = []

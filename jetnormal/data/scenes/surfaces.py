@@ -36,7 +36,7 @@ class Piece:
     faces: NDArray[np.int64]
 
     def placed(self, shift: ArrayLike, yaw: float = 0.0) -> Piece:
-        """The piece turned around z and moved."""
+        """Return the piece, turned around z and moved."""
         cos, sin = np.cos(yaw), np.sin(yaw)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return Piece(self.vertices @ turn.T + np.asarray(shift), self.normals @ turn.T, self.faces)
@@ -54,7 +54,7 @@ def joined(pieces: Iterable[Piece]) -> Piece:
 
 
 def grid(points: Floats, normals: Floats) -> Piece:
-    """The surface through a grid of points (R, C, 3) with normals (R, C, 3), which need not have unit length."""
+    """Make the surface through a grid of points (R, C, 3) with normals (R, C, 3), which need not have unit length."""
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     unit = normals / np.where(length > 0, length, 1)
     faces = open_grid_faces(points.shape[0], points.shape[1])
@@ -62,14 +62,14 @@ def grid(points: Floats, normals: Floats) -> Piece:
 
 
 def rectangle(corner: ArrayLike, along: ArrayLike, across: ArrayLike) -> Piece:
-    """A rectangle at a corner, with two sides; its normal is along x across."""
+    """Make a rectangle at a corner, with two sides; its normal is along x across."""
     corner, along, across = (np.asarray(value, dtype=np.float64) for value in (corner, along, across))
     points = np.array([[corner, corner + along], [corner + across, corner + along + across]])
     return grid(points, np.broadcast_to(np.cross(along, across), points.shape))
 
 
 def box(size: ArrayLike, shift: ArrayLike = (0.0, 0.0, 0.0)) -> Piece:
-    """A box of a size (3,) that stands on `shift`, (3,), the middle of its bottom."""
+    """Make a box of a size (3,) that stands on `shift`, (3,), the middle of its bottom."""
     x, y, z = np.asarray(size, dtype=np.float64)
     ex, ey, ez = np.diag([x, y, z])
     low, high = np.array([-x / 2, -y / 2, 0.0]), np.array([x / 2, y / 2, z])
@@ -81,7 +81,7 @@ def box(size: ArrayLike, shift: ArrayLike = (0.0, 0.0, 0.0)) -> Piece:
 
 
 def frustum(start: ArrayLike, end: ArrayLike, radius: float, end_radius: float | None = None) -> Piece:
-    """A cylinder or cone between two points, closed by discs."""
+    """Make a cylinder or cone between two points, closed by discs."""
     start, end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     end_radius = radius if end_radius is None else end_radius
     length = np.linalg.norm(end - start)
@@ -102,7 +102,7 @@ def _disc(middle: Floats, around: Floats, radius: float, normal: Floats) -> Piec
 
 
 def tube(path: Sequence[ArrayLike], radius: float, bend: float) -> Piece:
-    """A pipe along straight pieces between points, with elbows whose middle line has the radius `bend`."""
+    """Make a pipe along straight pieces between points, with elbows whose middle line has the radius `bend`."""
     corners = [np.asarray(point, dtype=np.float64) for point in path]
     pieces, begin = [], corners[0]
     for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
@@ -128,7 +128,7 @@ def _elbow(start: Floats, into: Floats, out: Floats, turn: float, radius: float,
 
 
 def turned(rho: ArrayLike, z: ArrayLike) -> Piece:
-    """A profile of straight pieces, (K,) distances from the z axis and heights, bottom up along the outside."""
+    """Turn a profile of straight pieces around z: (K,) distances from z and heights, bottom up along the outside."""
     rho, z = np.asarray(rho, dtype=np.float64), np.asarray(z, dtype=np.float64)
     angle = np.linspace(0, 2 * np.pi, sides(rho.max()) + 1)[None, :]
     cos, sin = np.cos(angle), np.sin(angle)
@@ -153,7 +153,7 @@ def lathe(height: float, profile: Callable[[Floats], tuple[Floats, Floats]]) -> 
 
 
 def star(shape: StarShaped, shift: ArrayLike = (0.0, 0.0, 0.0), scale: float = 1.0, rows: int = 49) -> Piece:
-    """An ellipsoid, superellipsoid or bumpy sphere around `shift`."""
+    """Make an ellipsoid, superellipsoid or bumpy sphere around `shift`."""
     tilt = np.linspace(-np.pi / 2, np.pi / 2, rows)[:, None]
     angle = np.linspace(0, 2 * np.pi, 2 * rows - 1)
     directions = np.stack(
@@ -164,14 +164,14 @@ def star(shape: StarShaped, shift: ArrayLike = (0.0, 0.0, 0.0), scale: float = 1
 
 
 def height_field(x: Floats, y: Floats, height: Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]) -> Piece:
-    """The surface z = height(x, y) over a grid of x (C,) and y (R,); height gives z and its two slopes."""
+    """Make the surface z = height(x, y) over a grid of x (C,) and y (R,); height gives z and its two slopes."""
     grid_x, grid_y = np.meshgrid(x, y)
     z, slope_x, slope_y = height(grid_x, grid_y)
     return grid(np.stack([grid_x, grid_y, z], -1), np.stack([-slope_x, -slope_y, np.ones_like(z)], -1))
 
 
 def standing_sheet(length: float, height: float, offset: Callable[[Floats], tuple[Floats, Floats]]) -> Piece:
-    """A curtain or corrugated wall y = offset(x) for x from 0 to `length`, from the floor to a height."""
+    """Make a curtain or corrugated wall y = offset(x) for x from 0 to `length`, from the floor to a height."""
     x = np.linspace(0, length, max(9, round(length / 0.01)))
     y, slope = offset(x)
     points = np.stack([np.stack([x, y, np.full_like(x, level)], -1) for level in (0.0, height)])
@@ -182,7 +182,7 @@ def standing_sheet(length: float, height: float, offset: Callable[[Floats], tupl
 def wall(
     length: float, height: float, thickness: float, openings: Sequence[tuple[float, float, float, float]]
 ) -> Piece:
-    """A wall from x = 0 to `length` between y = 0 and `thickness`, with openings (x, x, z, z)."""
+    """Make a wall from x = 0 to `length` between y = 0 and `thickness`, with openings (x, x, z, z)."""
     xs = sorted({0.0, length, *(value for opening in openings for value in opening[:2])})
     zs = sorted({0.0, height, *(value for opening in openings for value in opening[2:])})
     pieces = []
@@ -211,7 +211,7 @@ def leaves(count: int, size: float, spread: ArrayLike, rng: np.random.Generator)
 
 
 def sides(radius: float) -> int:
-    """Number of sides of a circle that stays within half a millimeter of it, or 0.1 % of its radius."""
+    """Return the number of sides of a circle that stays within half a millimeter of it, or 0.1 % of its radius."""
     return int(np.clip(np.pi / np.sqrt(2 * max(5e-4 / max(radius, 1e-3), 1e-3)), 12, 96))
 
 

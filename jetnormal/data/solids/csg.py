@@ -42,7 +42,7 @@ class Part:
         return self.scale * points @ self.rotation.T + self.translation, normals @ self.rotation.T
 
     def contains(self, points: Floats) -> NDArray[np.bool_]:
-        """Which of the points (N, 3) lie inside, (N,)."""
+        """Find which of the points (N, 3) lie inside, (N,)."""
         return self.implicit(points) < 0
 
     def implicit(self, points: Floats) -> Floats:
@@ -68,7 +68,7 @@ class Solid:
         self.exposed_share = len(self._surviving(trial, np.random.default_rng(0))[0]) / trial
 
     def contains(self, points: Floats) -> NDArray[np.bool_]:
-        """Which of the points (N, 3) lie inside, (N,)."""
+        """Find which of the points (N, 3) lie inside, (N,)."""
         return self._combined(np.stack([part.contains(points) for part in self.parts]))
 
     def sample(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:

@@ -26,7 +26,7 @@ def revolved(rho: Floats, z: Floats, *, ring: bool = False) -> Mesh:
 
 
 def half_circle(start: float, end: float, count: int) -> tuple[Floats, Floats]:
-    """Cosines and sines of `count` angles from start to end."""
+    """Return cosines and sines of `count` angles from start to end."""
     angle = np.linspace(start, end, count)
     return np.cos(angle), np.sin(angle)
 
@@ -42,7 +42,7 @@ def grid_faces(rows: int, columns: int, *, rows_wrap: bool = False) -> NDArray[n
 
 
 def open_grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Triangles (F, 3) of a grid of vertices, row by row, that closes nowhere."""
+    """Return triangles (F, 3) of a grid of vertices, row by row, that closes nowhere."""
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     across = corner + columns + 1
     return np.concatenate([np.stack([corner, corner + 1, across], 1), np.stack([corner, across, corner + columns], 1)])

@@ -30,11 +30,11 @@ class Primitive(Protocol):
         ...
 
     def implicit(self, points: Floats, /) -> Floats:
-        """A function of points (N, 3) that is negative inside, positive outside and zero on the surface."""
+        """Return a function of points (N, 3) that is negative inside, positive outside and zero on the surface."""
         ...
 
     def mesh(self) -> Mesh:
-        """Triangles whose vertices lie on the surface and whose faces are within about 0.001 of it."""
+        """Return triangles whose vertices lie on the surface and whose faces are within about 0.001 of it."""
         ...
 
 

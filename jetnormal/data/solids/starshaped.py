@@ -47,7 +47,7 @@ class StarShaped:
         return self.at(directions)
 
     def at(self, directions: Floats) -> tuple[Floats, Floats]:
-        """The points of the surface along unit directions (N, 3), and the outward unit normals there."""
+        """Return the points of the surface along unit directions (N, 3), and the outward unit normals there."""
         return self._radius(directions)[:, None] * directions, self._normals(directions)
 
     def implicit(self, points: Floats) -> Floats:

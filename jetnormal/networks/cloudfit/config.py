@@ -48,7 +48,7 @@ class CloudFitConfig:
             raise ValueError(f"there are at most {MAX_LAYERS} levels, and layers in each")
 
     def votes(self, level: int) -> int:
-        """How often the points of a level vote."""
+        """Find how often the points of a level vote."""
         return max(self.down_layers[level], 1)
 
     @classmethod
@@ -81,7 +81,7 @@ def check_shapes(config: CloudFitConfig, shapes: dict[str, tuple[int, ...]]) -> 
 
 
 def parameter_shapes(config: CloudFitConfig) -> dict[str, tuple[int, ...]]:
-    """The shape of each parameter of the network, by its name there."""
+    """Return the shape of each parameter of the network, by its name there."""
     c, hidden = config.channels, config.hidden
     shapes: dict[str, tuple[int, ...]] = {}
     for number, width in enumerate(c):

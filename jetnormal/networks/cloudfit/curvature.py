@@ -60,7 +60,7 @@ def add_equations(x: F64, n: F32, at: NDArray[np.int64], xj: F64, nj: F32, nbr: 
 
 
 def principal(sums: F64) -> F32:
-    """(N, 2) principal curvatures, the larger first, positive where the surface bends towards the normal.
+    """Return (N, 2) principal curvatures, the larger first, positive where the surface bends towards the normal.
 
     Args:
         sums: (N, 6) of `add_equations`; rows without neighbors give zeros.

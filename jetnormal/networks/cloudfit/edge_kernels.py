@@ -43,7 +43,7 @@ def _value(p: F32, i: Any, u: F32, n: Any, e: Any, w: F32, c: Any) -> Any:
 
 
 def edge_messages(p: F32, u: F32, nbr: I32, q: F32, w: F32, out: F32) -> None:
-    """Pools the messages m_ij = relu(p[i] + u[nbr[i, j]] + q[i, j] @ w) of each i.
+    """Pool the messages m_ij = relu(p[i] + u[nbr[i, j]] + q[i, j] @ w) of each i.
 
     p (N, C), u (M, C), nbr (N, k), q (N, k, 12), w (12, C). The first half of the channels of out (N, C) is the
     maximum over j, the second half is the mean.

@@ -51,7 +51,7 @@ class _EdgeMLP(torch.autograd.Function):
 
 
 def edge_messages(own: Tensor, sender: Tensor, weight: Tensor, neighbors: Tensor, features: Tensor) -> Tensor:
-    """The messages relu(own[i] + sender[j] + features[i, j] @ weight) to each i, pooled over its neighbors j.
+    """Return the messages relu(own[i] + sender[j] + features[i, j] @ weight) to each i, pooled over its neighbors j.
 
     Args:
         own: (N, C) float32, C even.

@@ -34,13 +34,13 @@ class Nodes:
 
     @classmethod
     def of(cls, level: Neighborhood, device: torch.device) -> Nodes:
-        """A level with the normals of its neighbors' planes."""
+        """Return a level with the normals of its neighbors' planes."""
         arrays = (level.positions, level.neighbors, level.scale, level.normals, level.centroid)
         positions, neighbors, scale, normals, centroid = (torch.from_numpy(array).to(device) for array in arrays)
         return cls(positions, neighbors, scale, normals, centroid, sign=scale).turned(normals)
 
     def turned(self, normals: Tensor) -> Nodes:
-        """The same points with other normals."""
+        """Return the same points with other normals."""
 
         def side(rows: slice) -> Tensor:
             return torch.tanh(3 * (normals[rows] * self.centroid[rows]).sum(1))
@@ -59,7 +59,7 @@ class Edges:
 
 
 def connect(to: Nodes, sender: Nodes, neighbors: Tensor, unit: Tensor) -> Edges:
-    """The edges to each of `to` from its `neighbors` among `sender`, with their twelve invariants.
+    """Return the edges to each of `to` from its `neighbors` among `sender`, with their twelve invariants.
 
     With d the offset in units of `unit`, n and n' the normals of receiver and sender, m and m' their centroids, t and
     t' their soft signs tanh(3 n.m), s and s' their scales:
@@ -117,7 +117,7 @@ class EdgeWeights(nn.Module):
         self.out = nn.Linear(hidden, outputs)
 
     def project(self, sender: Tensor) -> Tensor:
-        """(M, hidden) the part of the sum that senders with (M, C') features contribute."""
+        """Return (M, hidden) the part of the sum that senders with (M, C') features contribute."""
         return by_rows(lambda rows: self.sender(sender[rows]), len(sender))
 
     def forward(self, h: Tensor, sent: Tensor, neighbors: Tensor, features: Tensor) -> Tensor:

@@ -73,7 +73,7 @@ class CloudFit(nn.Module):
         self.confidence = nn.Sequential(nn.Linear(c[0] + 1, hidden), nn.ReLU(), nn.Linear(hidden, 1))
 
     def for_inference(self) -> CloudFit:
-        """The network itself, as it is used to estimate."""
+        """Return the network itself, as it is used to estimate."""
         return self.eval().requires_grad_(False)
 
     @property
@@ -85,7 +85,7 @@ class CloudFit(nn.Module):
         return torch.from_numpy(array).to(self.device)
 
     def forward(self, pyramid: Pyramid) -> CloudPrediction:
-        """The normals of a cloud.
+        """Return the normals of a cloud.
 
         Args:
             pyramid: of the cloud, with as many levels as the network.

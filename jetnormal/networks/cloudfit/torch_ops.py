@@ -27,7 +27,7 @@ def plain_torch() -> Iterator[None]:
 
 
 def has_loops(tensor: Tensor) -> bool:
-    """Whether the compiled loops take a tensor: it is on the CPU, and `plain_torch` is not asked for."""
+    """Tell whether the compiled loops take a tensor: it is on the CPU, and `plain_torch` is not asked for."""
     return tensor.device.type == "cpu" and not _plain
 
 
@@ -47,7 +47,7 @@ def edge_mlp(
 
 
 def edge_features(own: tuple[Tensor, ...], unit: Tensor, sender: tuple[Tensor, ...], neighbors: Tensor) -> Tensor:
-    """(N, k, 12) invariants of edges, see `layers.connect`.
+    """Return (N, k, 12) invariants of edges, see `layers.connect`.
 
     Args:
         own: positions (N, 3) float64, normals (N, 3), centroids (N, 3), signs (N,) and scales (N,) of the receivers.

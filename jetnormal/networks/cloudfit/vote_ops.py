@@ -28,7 +28,7 @@ class _Votes(torch.autograd.Function):
 
 
 def votes(weights: Tensor, x: Tensor, unit: Tensor, xj: Tensor, nj: Tensor, neighbors: Tensor) -> Tensor:
-    """(N, 3, 3) symmetric matrices whose smallest eigenvector is the normal that the neighbors vote for.
+    """Return (N, 3, 3) symmetric matrices whose smallest eigenvector is the normal that the neighbors vote for.
 
     With d the offset to a neighbor in units of `unit`, n its normal and r that normal mirrored on the plane which
     bisects d (on a sphere, the own normal):  sum a (d - mean)(d - mean)^T - b n n^T - c r r^T.

@@ -87,7 +87,7 @@ class Edges(nn.Module):
         self.last = _edge_layer(channels, channels)
 
     def parts(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """The first linear map of (B, n, C) features, as neighbors and as centers: two (B n, C).
+        """Return the first linear map of (B, n, C) features, as neighbors and as centers: two (B n, C).
 
         W [n - c, c] = W1 n + (W2 - W1) c: one product a point instead of one an edge.
         """

@@ -9,7 +9,7 @@ from jetnormal.support.compiled import compiled
 
 
 def farthest_points(points: NDArray[np.float32], kept: NDArray[np.int64]) -> None:
-    """Fills kept (B, m), whose first column is given, with indices of points (B, n, 3)."""
+    """Fill kept (B, m), whose first column is given, with indices of points (B, n, 3)."""
     _farthest_points(points, np.empty((4, points.shape[1]), np.float32), kept)
 
 
@@ -37,7 +37,7 @@ def _farthest_points(points: NDArray[np.float32], work: NDArray[np.float32], kep
 
 
 def smallest(scores: NDArray[np.float32], found: NDArray[np.int64]) -> None:
-    """Fills found (R, k) with the columns of the k smallest of each row of scores (R, n), ascending; of equals, the
+    """Fill found (R, k) with the columns of the k smallest of each row of scores (R, n), ascending; of equals, the
     first. This is faster than a general selection where k is much smaller than n."""
     _smallest(scores, np.empty(found.shape[1], np.float32), found)
 

@@ -92,7 +92,7 @@ def full_precision(tensor: Tensor) -> torch.autocast:
 
 
 def point_layers(widths: Sequence[int]) -> nn.Sequential:
-    """A chain of point layers through the given widths, each with a ReLU."""
+    """Make a chain of point layers through the given widths, each with a ReLU."""
     return nn.Sequential(*(PointLayer(a, b, nn.ReLU(inplace=True)) for a, b in pairwise(widths)))
 
 

@@ -19,7 +19,7 @@ def farthest_points(points: Tensor, count: int) -> Tensor:
 
 
 def every_nth(points: Tensor, count: int) -> Tensor:
-    """(B, count) indices of (B, n, 3) points at equal steps from index 0 on."""
+    """Return (B, count) indices of (B, n, 3) points at equal steps from index 0 on."""
     steps = torch.arange(count, device=points.device) * points.shape[1] // count
     return steps.expand(points.shape[0], count)
 

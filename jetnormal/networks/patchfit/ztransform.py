@@ -75,7 +75,7 @@ class FeatureTransform(nn.Module):
 
 
 def summary(layers: nn.Sequential, features: Tensor) -> Tensor:
-    """A chain of point layers, then the maximum over the points: (B, k, C_in) to (B, C_out)."""
+    """Make a chain of point layers, then the maximum over the points: (B, k, C_in) to (B, C_out)."""
     last = layers[-1]
     assert isinstance(last, PointLayer)
     return last.peak(layers[:-1](features))
@@ -100,7 +100,7 @@ def zero_linear(inputs: int, outputs: int) -> nn.Linear:
 
 
 def rotation_matrix(offset: Tensor) -> Tensor:
-    """(B, 3, 3) rotations of the quaternions (1, 0, 0, 0) + `offset`, (B, 4), of any length but zero."""
+    """Return (B, 3, 3) rotations of the quaternions (1, 0, 0, 0) + `offset`, (B, 4), of any length but zero."""
     w, x, y, z = nn.functional.normalize(offset.float() + offset.new_tensor([1.0, 0, 0, 0]), dim=1).unbind(1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -111,7 +111,7 @@ def rotation_matrix(offset: Tensor) -> Tensor:
 
 
 def rotation_to_z(normals: Tensor) -> Tensor:
-    """The smallest rotations R, (B, 3, 3), with `normals @ R = +-z` for (B, 3) unit normals of either sign."""
+    """Return the smallest rotations R, (B, 3, 3), with `normals @ R = +-z` for (B, 3) unit normals of either sign."""
     n = torch.where(normals[:, 2:] < 0, -normals, normals)
     x, y, z = n.unbind(1)
     s = 1 / (1 + z)
