@@ -157,7 +157,7 @@ def test_nothing_is_left_half_written(tmp_path, monkeypatch, problem):
 def test_what_cannot_be_drawn_from_is_named(meshes, tmp_path):
     with pytest.raises(UsageError, match="nothing to draw"):
         write_dataset(tmp_path / "out", SMALL)
-    with pytest.raises(UsageError, match="points must be at least 3"):
+    with pytest.raises(UsageError, match="points is 3 or more, not 2"):
         DatasetOptions(points=2)
     with pytest.raises(InputError, match="absent: no such folder"):
         write_dataset(tmp_path / "out", SMALL, meshes=tmp_path / "absent")
