@@ -96,6 +96,7 @@ def _parse(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # that there are blank lines
+            warnings.simplefilter("error", DeprecationWarning)  # NumPy 2.2 takes 256 for a byte, and makes it 0
             table = np.loadtxt(
                 stream,
                 dtype,
@@ -105,7 +106,7 @@ def _parse(
                 ndmin=1 if dtype.names else 2,
                 encoding="latin1",
             )
-    except ValueError as error:
+    except (ValueError, DeprecationWarning) as error:
         line += _lines_between(stream, start if origin is None else origin, start)
         stream.seek(start)
         problem = _find_problem(stream, _leaf_types(dtype, columns), line, delimiter)
