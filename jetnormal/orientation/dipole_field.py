@@ -88,21 +88,22 @@ class DipoleField:
         self._corner = (low + high) / 2 - self.cell * cells / 2
         self._points, self._rows = points, rows
         self._response = _response(cells) * np.float32(cells**2 / self.cell**2)
-        self._values = np.zeros((cells,) * 3, dtype=np.float32)
+        self._shape = (cells,) * 3
 
     def solve(self, normals: Floats, spacing: Floats, strength: Floats) -> None:
         """Find the field of outward unit normals (N, 3), each times its strength (n,) and its spacing (N,) squared."""
         from scipy.fft import irfftn, rfftn
 
-        self._values[:] = 0  # the charges, and then the field: grids are large
+        self._values = np.zeros(self._shape, dtype=np.float32)  # the charges, and then the field: grids are large
         for part in chunks(len(strength)):
             rows = self._rows[part]
             moments = normals[rows] * (strength[part] * spacing[rows] ** 2)[:, None]
             add_dipoles(self._points[rows], moments, self._corner, self.cell, self._values)
         workers = available_cores()  # the values do not depend on them
         spectrum = rfftn(self._values, workers=workers)
+        del self._values
         spectrum *= self._response
-        self._values = irfftn(spectrum, s=self._values.shape, workers=workers, overwrite_x=True)
+        self._values = irfftn(spectrum, s=self._shape, workers=workers, overwrite_x=True)
         self._values -= self._values[0, 0, 0]  # a corner is farthest from all points
 
     def at(self, places: Floats) -> Floats:
@@ -129,7 +130,11 @@ def _response(cells: int) -> NDArray[np.float32]:
     from scipy.fft import fftfreq
 
     wave = fftfreq(cells, 1 / cells) ** 2
-    squared = wave[:, None, None] + wave[:, None] + np.arange(cells // 2 + 1.0) ** 2
-    squared[0, 0, 0] = 1  # the constant, which is not known
-    damping = np.exp(-0.5 * (2 * np.pi * SMOOTHING / cells) ** 2 * squared)
-    return np.asarray(damping / (squared * 2 * (2 * np.pi) ** 2), dtype=np.float32)
+    across = wave[:, None] + np.arange(cells // 2 + 1.0) ** 2
+    response = np.empty((cells, *across.shape), dtype=np.float32)
+    for plane, along in zip(response, wave, strict=True):  # all at once would take four times as much memory
+        squared = along + across
+        squared[0, 0] = squared[0, 0] or 1  # the constant, which is not known
+        damping = np.exp(-0.5 * (2 * np.pi * SMOOTHING / cells) ** 2 * squared)
+        plane[:] = damping / (squared * 2 * (2 * np.pi) ** 2)
+    return response

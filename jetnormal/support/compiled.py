@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import gc
 import hashlib
 import json
 import operator
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import RLock
 from typing import Any, NamedTuple
@@ -99,7 +100,8 @@ class Compiled:
                 code = _kept(name)
                 if code is None:
                     _announce()
-                    code = self._compile(signature)
+                    with _uncollected():
+                        code = self._compile(signature)
                     _keep(name, code)
                 self._ready[signature] = _load(code, signature)
             return self._ready[signature]
@@ -137,6 +139,18 @@ def compiled(function: Callable[..., Any]) -> Any:
     written, each process compiles anew.
     """
     return Compiled(function)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Collect no garbage meanwhile: a seventh of the time that numba takes goes to looking through what it keeps."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 @functools.cache

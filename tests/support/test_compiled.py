@@ -1,6 +1,7 @@
 """Compiled functions: their arguments, and the machine code that is kept for later processes."""
 
 import functools
+import gc
 import re
 import subprocess
 import sys
@@ -129,3 +130,15 @@ print(scale.sum(), "numba" in sys.modules)
     runs = [subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True) for _ in "ab"]
     (before, compiled_it), (after, compiled_again) = (run.stdout.split() for run in runs)
     assert before == after and (compiled_it, compiled_again) == ("True", "False")
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_garbage_is_collected_after_compilation_as_before(collects):
+    was = gc.isenabled()
+    try:
+        (gc.enable if collects else gc.disable)()
+        with pytest.raises(TypeError, match="returns a value"):
+            compiled(returns_a_value)(np.zeros(2))
+        assert gc.isenabled() == collects
+    finally:
+        (gc.enable if was else gc.disable)()
