@@ -92,8 +92,7 @@ def _check_address_space() -> None:
 def program() -> NoReturn:
     """Run the command line and end the process at once.
 
-    All is written and closed by then. To take down the interpreter, the compiled loops and the arrays in order would
-    take another third of a second.
+    By then everything is written and closed, and an ordinary end of the interpreter takes another third of a second.
     """
     code: Any = 0
     try:
@@ -113,7 +112,7 @@ def main() -> None:
     _clean_up_when_ended()
     try:
         with named_extras():
-            code = app(prog_name="jetnormal", standalone_mode=False) or 0  # of closed pipes (1), it exits in here
+            code = app(prog_name="jetnormal", standalone_mode=False) or 0  # ends here with 1 on a closed pipe
         if code == INTERRUPTED:
             report_json("interrupted", code)
         sys.stdout.flush()  # a full disk behind stdout shows here, where it can be handled

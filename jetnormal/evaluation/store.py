@@ -26,7 +26,7 @@ class Estimate:
     Attributes:
         normals: (Q, 3) of the points evaluated.
         points: number of points whose normals were estimated, at least Q.
-        seconds: that took, neighbor search included, reading the files and choosing signs not; None if unknown.
+        seconds: of the estimation with its neighbor search, without reading files and choosing signs; None if unknown.
     """
 
     normals: NDArray[np.floating[Any]]
@@ -37,8 +37,8 @@ class Estimate:
 class ResultStore:
     """A folder with one file per model, settings and cloud.
 
-    A file is found again only if all is the same: the bytes of the model file and of the cloud's files, the settings,
-    the version of the program. What is no longer the same stays in the folder, unread.
+    An estimate is found again only if the model file, the cloud's files, the settings and the version of the program
+    are the same. Outdated estimates stay in the folder, unread.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -77,7 +77,7 @@ def _unfinished(target: Path) -> Path:
 
 
 def _create(path: Path, mode: int | None) -> BinaryIO:
-    """A new file, never what a link leads to, that from the start nobody may read who may not in the end."""
+    """Create a file that has its final permissions from the start; a symbolic link is not followed."""
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, flags, 0o666 if mode is None else mode & 0o600)
     stream = os.fdopen(descriptor, "w+b")
