@@ -66,7 +66,7 @@ def estimate_files(
         estimator = prepare_estimator(options)
 
     def run_one(source: Path, target: Path) -> dict[str, Any]:
-        room = room_for_tiles(source, files, LargeOptions())
+        room = room_for_tiles(source, files, LargeOptions(), options.orient)
         if room is not None:
             from jetnormal.jobs.tiled.run import estimate_in_tiles
 

@@ -116,7 +116,7 @@ def estimate_file(
     timer = StageTimer()
     check_format(files, source, target)
     check_file(target, files, overwrite=overwrite)
-    room = room_for_tiles(source, files, large)
+    room = room_for_tiles(source, files, large, options.orient)
     if room is not None:
         from jetnormal.jobs.tiled.run import estimate_in_tiles
 

@@ -13,12 +13,14 @@ from jetnormal.errors import InputError, ResourceError
 from jetnormal.estimators.blocks import bytes_of, bytes_together, core_that_fits
 from jetnormal.formats import CloudStream
 from jetnormal.jobs.options import LargeOptions, ReadOptions
+from jetnormal.orientation.policy import ENOUGH
 from jetnormal.support.report import logger
 
 SHARE = 0.6  # of the machine's memory
 PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
-PER_POINT = 550  # bytes of a cloud that is computed at once, when the signs are chosen
-HELD = 150  # bytes of it before, while blocks of it are looked at
+PER_POINT = 550  # bytes of a cloud whose signs are chosen together
+TOGETHER = ("global", "mst")  # methods that choose all signs together; "auto" does so for up to `ENOUGH` points
+HELD = 250  # bytes of any other point of a cloud in memory
 THINNED = 4_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
 BINARY = 16  # bytes of a point in a file that is not text: three float32 and some more
@@ -47,7 +49,7 @@ def _text(path: Path) -> str:
         return ""
 
 
-def at_once(path: Path, files: ReadOptions, limit: int) -> int:
+def at_once(path: Path, files: ReadOptions, limit: int, orient: str = "auto") -> int:
     """Estimate the memory in bytes that a cloud takes if it is computed at once, without reading it.
 
     The size of the file decides. The header is read only if it is quickly read, and the file is compressed or its size
@@ -56,7 +58,7 @@ def at_once(path: Path, files: ReadOptions, limit: int) -> int:
     known = formats.find_format(path, formats.format_for(path, files.format))
     try:
         lines = _bytes_of_a_line(path)
-        rough = peak(path.stat().st_size // max(BINARY, lines))
+        rough = peak(path.stat().st_size // max(BINARY, lines), orient)
         if known.stream is None or known.stream_reads_all or lines > 0:
             return rough
         if known.name not in COMPRESSED and rough <= limit:
@@ -67,12 +69,13 @@ def at_once(path: Path, files: ReadOptions, limit: int) -> int:
         stream = known.stream(path)
     except (OSError, InputError):  # damaged, or not read in pieces
         return rough
-    return peak(stream.points) + 2 * stream.points * stream.bytes_per_point
+    return peak(stream.points, orient) + 2 * stream.points * stream.bytes_per_point
 
 
-def peak(points: int) -> int:
+def peak(points: int, orient: str = "auto") -> int:
     """Bytes that a cloud of so many points takes: of the directions or the signs, whatever is more."""
-    return PROGRAM + max(points * PER_POINT, points * HELD + bytes_together(points))
+    signs = points if orient in TOGETHER else min(points, ENOUGH)
+    return PROGRAM + max(points * HELD + bytes_together(points), signs * PER_POINT + (points - signs) * HELD)
 
 
 def _bytes_of_a_line(path: Path) -> int:
@@ -96,7 +99,7 @@ class Room:
     thinned: int
 
 
-def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions) -> Room | None:
+def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions, orient: str = "auto") -> Room | None:
     """Find how many points fit into memory; None if the cloud is computed at once.
 
     Raises:
@@ -104,7 +107,7 @@ def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions) -> Roo
         ResourceError: the memory is too little for any tile.
     """
     limit = large.max_memory or round(SHARE * machine_memory())
-    needed = at_once(source, files, limit)
+    needed = at_once(source, files, limit, orient)
     if needed <= limit and not large.resume and large.cluster is None:
         return None
     known = formats.find_format(source, formats.format_for(source, files.format))

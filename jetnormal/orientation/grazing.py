@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 GRAZING = 0.25  # cosine below which a sign is in doubt: 75 degrees
 UNCLEAR = 0.1  # cosine of a neighbor up to which it does not vote
 NEIGHBORS = 16
+CHUNK = 50_000  # points asked for their neighbors at a time
 NEIGHBOR_WEIGHT = 2.0  # of neighbors that all agree, over a cosine of GRAZING
 
 
@@ -30,10 +31,12 @@ def grazing_flips(points: Floats, normals: Floats, cosine: Floats) -> NDArray[np
     rows = np.flatnonzero((cosine > 0) & (cosine < GRAZING))
     if not len(rows) or len(points) <= NEIGHBORS:
         return flips
-    near = NeighborIndex(points).query(points[rows], NEIGHBORS + 1)[0][:, 1:]
-    agreement = np.einsum("nd,nkd->nk", normals[rows], normals[near])
-    weight = np.maximum(cosine[near] - UNCLEAR, 0)
-    total = weight.sum(axis=1)
-    vote = (agreement * np.abs(agreement) * weight).sum(axis=1) / np.where(total > 0, total, 1)
-    flips[rows] = cosine[rows] / GRAZING + NEIGHBOR_WEIGHT * vote < 0
+    index = NeighborIndex(points)
+    for some in (rows[start : start + CHUNK] for start in range(0, len(rows), CHUNK)):
+        near = index.query(points[some], NEIGHBORS + 1)[0][:, 1:]
+        agreement = np.einsum("nd,nkd->nk", normals[some], normals[near])
+        weight = np.maximum(cosine[near] - UNCLEAR, 0)
+        total = weight.sum(axis=1)
+        vote = (agreement * np.abs(agreement) * weight).sum(axis=1) / np.where(total > 0, total, 1)
+        flips[some] = cosine[some] / GRAZING + NEIGHBOR_WEIGHT * vote < 0
     return flips

@@ -179,6 +179,14 @@ def test_memory_is_estimated_without_reading(tmp_path, name):
     assert 0.8 < needed / (memory.peak(5000) - memory.PROGRAM) < 2.5
 
 
+def test_signs_that_are_chosen_together_take_more_memory():
+    """`auto` chooses those of a million points together, and carries them to the others."""
+    millions = [memory.peak(n * 10**6, orient) for n in (10, 11) for orient in ("auto", "global", "viewpoint")]
+    assert millions[0] == millions[2] < millions[1]
+    assert millions[3] - millions[0] == memory.HELD * 10**6
+    assert millions[4] - millions[1] == memory.PER_POINT * 10**6
+
+
 def test_an_output_that_is_written_again_gets_the_signs_of_its_own_cloud(tmp_path):
     target = tmp_path / "out.ply"
     for name, shift in (("a.ply", 0.0), ("b.ply", 1.0)):
