@@ -34,7 +34,7 @@ from jetnormal.training.metrics import Metrics
 if TYPE_CHECKING:
     from jetnormal.networks.checkpoint import Network
 
-CONFIG_NAME = "config.toml"
+CONFIG_NAME, METRICS_NAME = "config.toml", "metrics.csv"
 FREE = ("epochs", "validate_every")  # what a resumed run may change
 SAVE_INTERVAL = 45.0  # seconds: what a killed run loses at most
 
@@ -103,7 +103,7 @@ class Run:
         self.network = network
         self.optimizer = optimizer
         self.position = Position()
-        self.metrics = Metrics(folder / "metrics.csv")
+        self.metrics = Metrics(folder / METRICS_NAME)
         self._average = _averaged(network, average) if average else None
         self._saved = time.monotonic()
         self._save_interval = save_interval
@@ -142,13 +142,11 @@ class Run:
             initial: name or file of that model: what both networks have by the same name and shape is taken over.
 
         Raises:
-            InputError: the folder holds a run already, another process trains in it, or it cannot be created.
+            InputError: the folder holds a run already, or files that this one would overwrite, another process trains
+                in it, or it cannot be created.
             ModelError: there is no such model, or it shares nothing with this network.
         """
-        if self._state_path.exists():
-            raise InputError(
-                f"{self.folder}: holds a run already; `resume` goes on with it, another folder starts a new one"
-            )
+        self._check_free(config)
         if initial:
             self._take_over(resolve(initial))
         try:
@@ -156,9 +154,27 @@ class Run:
         except OSError as error:
             raise InputError(f"{self.folder}: cannot be created ({error.strerror}); choose another folder") from error
         self._acquire()
+        self._check_free(config)  # once more: another process may have trained here in the meantime
         self.metrics.clear()
         with atomic_write(self.folder / CONFIG_NAME, overwrite=True) as stream:
             stream.write(config.encode())
+
+    def _check_free(self, config: str) -> None:
+        """Refuse a folder with files that the run would overwrite, but for what it left itself before its first save.
+
+        Raises:
+            InputError: there are such files, or there is a run.
+        """
+        if self._state_path.exists():
+            raise InputError(
+                f"{self.folder}: holds a run already; `resume` goes on with it, another folder starts a new one"
+            )
+        recipe = self.folder / CONFIG_NAME
+        if recipe.is_file() and recipe.read_bytes() == config.encode():
+            return
+        for path in (recipe, self.model_path, self.folder / METRICS_NAME):
+            if path.exists():
+                raise InputError(f"{path}: would be overwritten; choose another folder for the run")
 
     def resume(self, config: str, epochs: int) -> None:
         """Go back to the last saved state.

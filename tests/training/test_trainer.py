@@ -317,6 +317,14 @@ def test_a_new_run_does_not_overwrite_one(finished):
     assert (folder / "model.safetensors").read_bytes() == before
 
 
+@pytest.mark.parametrize("name", ["config.toml", "model.safetensors", "metrics.csv"])
+def test_a_new_run_does_not_overwrite_the_files_of_others(tmp_path, name):
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(InputError, match=f"{name}: would be overwritten; choose another folder"):
+        train(RECIPE, Spheres(), tmp_path)
+    assert [path.read_text() for path in tmp_path.iterdir() if path.suffix] == ["precious"]
+
+
 def test_a_finished_run_says_that_it_is_done(finished, caplog):
     folder, summary = finished
     with caplog.at_level("INFO", "jetnormal"):
