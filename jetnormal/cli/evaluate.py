@@ -53,7 +53,9 @@ def evaluate(
     ] = "0,1,0",
     force: Annotated[
         bool,
-        typer.Option("--force", help="Overwrite the pictures of an earlier evaluation.", rich_help_panel="Output"),
+        typer.Option(
+            "--force", help="Overwrite the pictures and the normals of an earlier evaluation.", rich_help_panel="Output"
+        ),
     ] = False,
     table: Annotated[
         Any,
@@ -108,7 +110,7 @@ def evaluate(
 
     if plots:
         check_plots(plots, overwrite=force, suffix=plots_format)
-    evaluation = evaluate(data, model or [], replace(options, z_angles=plots is not None))
+    evaluation = evaluate(data, model or [], replace(options, overwrite=force, z_angles=plots is not None))
     if json:
         print_json(evaluation.summary())
     elif table == "csv":

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from jetnormal.errors import UsageError
-from jetnormal.support.options import Option, OptionSet
+from jetnormal.support.options import MAX_THREADS, Option, OptionSet
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,9 @@ class EvaluateOptions(OptionSet):
     ] = None
     device: Annotated[str, Option("Where networks run.", metavar="auto|cpu|cuda[:N]", group="Resources")] = "auto"
     threads: Annotated[
-        int | None, Option("CPU threads.", low=1, metavar="T", default="all cores", group="Resources")
+        int | None, Option("CPU threads.", low=1, high=MAX_THREADS, metavar="T", default="all cores", group="Resources")
     ] = None
+    overwrite: Annotated[bool, Option("Replace normals that were exported before.", flag=False)] = False
     z_angles: Annotated[
         bool,
         Option(

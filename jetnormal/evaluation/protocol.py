@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -147,6 +147,8 @@ def evaluate(data: Path | str, models: Sequence[str | Estimator], options: Evalu
         list_file = TEST_LIST
     clouds = categorize(folder, cloud_names(folder, list_file))
     trials = _make_trials(models, options)
+    if options.export_normals is not None:
+        _check_exports(options.export_normals, [trial.name for trial in trials], clouds, options.overwrite)
     logger.info("evaluating %d models on %d clouds", len(trials), len(clouds))
     found: dict[str, dict[str, CloudResult]] = {trial.name: {} for trial in trials}
     total = sum(query_count(folder, cloud, options.all_points or options.orient != "none") for cloud in clouds)
@@ -214,7 +216,8 @@ class _Trial:
         """Score a cloud; `clean` are the normals (Q, 3) of its clean version."""
         estimate = self.estimate(cloud, options, advance)
         if options.export_normals is not None:
-            write_normals(options.export_normals / _folder_name(self.name) / f"{cloud.name}.normals", estimate.normals)
+            path = _exported(options.export_normals, self.name, cloud.name)
+            write_normals(path, estimate.normals, overwrite=options.overwrite)
         scores, errors = score(estimate.normals, cloud.true_normals, clean, signs=options.orient != "none")
         logger.debug("%s, %s: RMSE %.2f degrees", cloud.name, self.name, scores.rmse)
         angles = self.z_angles(cloud) if options.z_angles else None
@@ -286,6 +289,22 @@ class _Estimated(_Trial):
         return Estimate(normals, len(rows), seconds)
 
 
-def _folder_name(model: str) -> str:
-    """The name of a model, which may be a path, as that of one folder."""
-    return re.sub(r"[^\w.,=-]+", "_", model)[-100:]
+def _exported(folder: Path, model: str, cloud: str) -> Path:
+    """Where the normals of a model, whose name may be a path, for a cloud are written."""
+    return folder / re.sub(r"[^\w.,=-]+", "_", model)[-100:] / f"{cloud}.normals"
+
+
+def _check_exports(folder: Path, models: Sequence[str], clouds: Iterable[str], overwrite: bool) -> None:
+    """Find out, before the long work, whether each file of normals has a place of its own.
+
+    Raises:
+        UsageError: two models would write the same file.
+        InputError: one exists and may not be overwritten.
+    """
+    taken: dict[Path, str] = {}
+    for path, model in ((_exported(folder, model, cloud), model) for cloud in clouds for model in models):
+        if path in taken:
+            raise UsageError(f"{taken[path]} and {model} would both be exported to {path}; export them one by one")
+        if path.exists() and not overwrite:
+            raise InputError(f"{path}: already exists; use `overwrite` to replace it or choose another folder")
+        taken[path] = model

@@ -180,17 +180,17 @@ def read_normals(path: Path) -> NDArray[np.float64]:
     return _read_numbers(path, columns=3, finite=False)
 
 
-def write_normals(path: Path, normals: NDArray[np.floating[Any]]) -> None:
-    """Write normals (N, 3) with six decimals; missing folders are made, an existing file is replaced.
+def write_normals(path: Path, normals: NDArray[np.floating[Any]], *, overwrite: bool = False) -> None:
+    """Write normals (N, 3) with six decimals; missing folders are made.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the file cannot be written, or exists and may not be overwritten.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path.parent}: cannot be created ({error.strerror}); choose another folder") from error
-    with atomic_write(path, overwrite=True) as stream:
+    with atomic_write(path, overwrite=overwrite) as stream:
         np.savetxt(stream, normals, fmt="%.6f")
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from jetnormal import evaluate
 from jetnormal.errors import InputError, ModelError, UsageError
+from jetnormal.evaluation.options import EvaluateOptions
 
 
 def test_rmse_is_the_angle_by_which_the_normals_are_turned(tmp_path, write_sphere, turned):
@@ -197,3 +198,22 @@ def test_exported_normals_are_scored_alike(ball, turned, tmp_path_factory):
     assert made.name == "runs_own_k=3" and [path.name for path in made.iterdir()] == ["ball.normals"]
     again = evaluate(ball, [], normals=(f"exported={made}",))
     assert again.models[0].average.rmse == pytest.approx(first.models[0].average.rmse, abs=1e-3)
+
+
+def test_exported_normals_do_not_replace_those_of_others(ball, turned, tmp_path):
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    np.savetxt(theirs / "ball.normals", np.ones((800, 3)))
+    before = (theirs / "ball.normals").read_bytes()
+    with pytest.raises(InputError, match=r"ball\.normals: already exists; use `overwrite`"):
+        evaluate(ball, [], normals=(f"theirs={theirs}",), export_normals=tmp_path)
+    assert (theirs / "ball.normals").read_bytes() == before
+    evaluate(ball, [], normals=(f"theirs={theirs}",), export_normals=tmp_path, overwrite=True)
+    assert len(np.loadtxt(theirs / "ball.normals")) == 400  # those evaluated
+    with pytest.raises(UsageError, match=r"runs/a and runs_a would both be exported to .*runs_a/ball\.normals"):
+        evaluate(ball, [turned(5.0, "runs/a"), turned(5.0, "runs_a")], export_normals=tmp_path)
+
+
+def test_threads_are_bounded():
+    with pytest.raises(UsageError, match="threads is 1 to 1024"):
+        EvaluateOptions(threads=100_000)
