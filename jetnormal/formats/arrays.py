@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud, Source
 from jetnormal.errors import InputError, UsageError
-from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, cloud_from_columns, columns_from_cloud
+from jetnormal.formats.columns import (
+    COORDINATES,
+    NORMALS,
+    Columns,
+    UniqueNames,
+    as_unicode,
+    cloud_from_columns,
+    columns_from_cloud,
+)
 from jetnormal.formats.npz import describe_all, load_all, rows_of
 from jetnormal.formats.registry import Format
 from jetnormal.formats.storage import to_storable
@@ -243,9 +251,10 @@ def write_npz(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     arrays: Columns = {"points": np.stack([columns.pop(name) for name in COORDINATES], axis=1)}
     if cloud.normals is not None:
         arrays["normals"] = np.stack([columns.pop(name) for name in NORMALS], axis=1)
-    clashes = {name: f"{name}_2" for name in columns if name in arrays or name == "file"}  # of savez's own parameters
-    warnings += [f"attribute {name!r} is written as {new!r}" for name, new in clashes.items()]
-    named = {clashes.get(name, name): values for name, values in columns.items()}
+    unique = UniqueNames((*arrays, "file", "allow_pickle"))  # the last are savez's own parameters
+    new_names = {name: unique.add(as_unicode(name)) for name in columns}
+    warnings += [f"attribute {name!r} is written as {new!r}" for name, new in new_names.items() if new != name]
+    named = {new_names[name]: values for name, values in columns.items()}
     np.savez(stream, allow_pickle=False, **arrays, **named)
     return warnings
 

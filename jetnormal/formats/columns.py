@@ -43,6 +43,11 @@ class UniqueNames:
         return candidate
 
 
+def as_unicode(name: str) -> str:
+    """Return a name as text that UTF-8 can encode: bytes of a file that were none are taken for Latin-1."""
+    return "".join(chr(ord(c) - 0xDC00) if "\udc80" <= c <= "\udcff" else c for c in name)
+
+
 def canonical_names(names: Collection[str], path: Path) -> dict[str, str]:
     """Find which of a file's columns are the coordinates and the normals, whatever their spelling and case.
 

@@ -149,7 +149,9 @@ def _kind(e57: Any, field: Any) -> np.dtype[Any] | None:
 
 def _read_points(e57: Any, image: Any, points: Any, kinds: dict[str, np.dtype[Any]], path: Path) -> tuple[Columns, int]:
     """The fields of all valid points, and how many are invalid."""
-    capacity = max(1, min(_CHUNK, points.childCount()))
+    if points.childCount() == 0:  # which libE57Format has no reader for
+        return {name: np.empty(0, kind) for name, kind in kinds.items()}, 0
+    capacity = min(_CHUNK, points.childCount())
     arrays = {name: np.empty(capacity, buffer_type(kind)) for name, kind in kinds.items()}
     buffers = e57.VectorSourceDestBuffer()
     for name, array in arrays.items():

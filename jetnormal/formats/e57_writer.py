@@ -7,7 +7,7 @@ import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud
-from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, columns_from_cloud
+from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, UniqueNames, columns_from_cloud
 from jetnormal.formats.e57_tree import (
     CARTESIAN,
     FIELDS,
@@ -39,8 +39,9 @@ from jetnormal.formats.scans import (
 )
 from jetnormal.formats.storage import COLORS, to_storable, unpack_colors
 
-_STANDARD = (*FIELDS, *SPHERICAL, "intensity", "returnIndex", "returnCount", "timeStamp")
-_STANDARD += ("isColorInvalid", "isIntensityInvalid", "isTimeStampInvalid")
+_STANDARD = frozenset((*SPHERICAL, "intensity", "returnIndex", "returnCount", "timeStamp", "isColorInvalid"))
+_STANDARD |= {"isIntensityInvalid", "isTimeStampInvalid"}
+_OURS = {ours: theirs for theirs, ours in FIELDS.items()}
 _TYPES = frozenset(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "f4", "f8"))
 
 
@@ -56,12 +57,14 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     columns, renamed = columns_from_cloud(cloud, NORMALS, np.dtype(np.float32))
     columns = unpack_colors(columns) if cloud.source.format == "pcd" else columns
     columns, changed = to_storable(columns, _TYPES, vectors=False)
+    extra = cloud.source.extra
+    details = extra.details if isinstance(extra, ScansExtra) and isinstance(extra.details, Details) else None
+    known = {name for fields in (details.fields if details else ()) for name in fields}
+    columns, respelled = _respelled(columns, known)
     rows = np.flatnonzero(cloud.valid)
     warnings = []
     if len(rows) < len(cloud):
         warnings.append(f"{len(cloud) - len(rows)} points without finite coordinates cannot be held and are left out")
-    extra = cloud.source.extra
-    details = extra.details if isinstance(extra, ScansExtra) and isinstance(extra.details, Details) else None
     scans = [(pose, part[cloud.valid[part]]) for pose, part in split_scans(cloud)]
     if isinstance(extra, ScansExtra) and len(scans) == len(extra.poses):
         columns.pop(SCAN, None)  # the scans themselves tell it
@@ -75,7 +78,7 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
             image.close()
         with path.open("rb") as written:
             shutil.copyfileobj(written, stream)
-    return warnings + renamed + changed
+    return warnings + renamed + changed + respelled
 
 
 def _write_image(
@@ -187,12 +190,23 @@ def _bounds(columns: Columns, about: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+def _respelled(columns: Columns, known: Collection[str]) -> tuple[Columns, list[str]]:
+    """Columns with names that XML allows, and a warning for each that changed; `known` are fields of the input."""
+    unique = UniqueNames({*_OURS, *_STANDARD, *known})
+    names = {}
+    for name in columns:
+        taken_as_it_is = name in _OURS or name in _STANDARD or name in known
+        names[name] = name if taken_as_it_is else unique.add(re.sub(r"[^A-Za-z0-9_.-]|^(?![A-Za-z_])", "_", name))
+    warnings = [f"attribute {name!r} is written as {new!r}" for name, new in names.items() if new != name]
+    return {names[name]: values for name, values in columns.items()}, warnings
+
+
 def _field_name(name: str, fields: dict[str, Any], own: str) -> str:
     """The format's name for a column; what the standard does not know stands in an extension of our own."""
-    standard = {ours: theirs for theirs, ours in FIELDS.items()}.get(name, name)
-    if standard in _STANDARD or standard in fields:
-        return standard
-    return f"{own}:" + re.sub(r"[^A-Za-z0-9_.-]|^(?![A-Za-z_])", "_", name)
+    if name in _OURS:
+        return _OURS[name]
+    is_field = name in _STANDARD or name in fields
+    return name if is_field and name not in FIELDS else f"{own}:{name}"  # an attribute may bear the name of another's
 
 
 def _field(e57: Any, name: str, values: NDArray[Any], known: Any) -> Any:

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.errors import InputError
-from jetnormal.formats.columns import (
-    Columns,
-)
+from jetnormal.formats.columns import Columns, as_unicode
 from jetnormal.formats.storage import COLORS
 
 TYPES = {"u1": 1, "i1": 2, "u2": 3, "i2": 4, "u4": 5, "i4": 6, "u8": 7, "i8": 8, "f4": 9, "f8": 10}
@@ -121,11 +119,12 @@ def declare(laspy: Any, header: Any, columns: Columns) -> list[str]:
     """Add extra dimensions of these names and types to a header; returns the names that they got there."""
     names: list[str] = []
     for name in columns:
-        short = name.encode()[:_LONGEST_NAME].decode(errors="ignore")
+        encoded = as_unicode(name).encode()
+        short = encoded[:_LONGEST_NAME].decode(errors="ignore")
         number = 2
         while short in names or short in header.point_format.dimension_names:
             ending = f"_{number}"
-            short = name.encode()[: _LONGEST_NAME - len(ending)].decode(errors="ignore") + ending
+            short = encoded[: _LONGEST_NAME - len(ending)].decode(errors="ignore") + ending
             number += 1
         names.append(short)
         header.point_format.add_extra_dimension(laspy.ExtraBytesParams(short, columns[name].dtype))

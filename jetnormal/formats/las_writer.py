@@ -99,6 +99,8 @@ class _Rows:
         if self._writer is None:
             self._begin(others, len(rows))
             self._warnings += renamed + changed + converted
+            pairs = zip(others, self._added, strict=True)
+            self._warnings += [f"attribute {name!r} is written as {new!r}" for name, new in pairs if name != new]
         table = self._laspy.ScaleAwarePointRecord.zeros(len(rows), header=self._header)
         self._set_coordinates(table, cloud.points[rows], cloud.source.point_dtype)
         if self._extra is None and "return_number" not in standard:

@@ -34,6 +34,8 @@ def to_storable(columns: Columns, types: frozenset[str], *, vectors: bool) -> tu
             warnings.append(f"attribute {name!r} holds lists of different lengths and is not kept")
         elif values.dtype.kind not in "biuf":
             warnings.append(f"attribute {name!r} of type {values.dtype} is not kept")
+        elif 0 in values.shape[1:]:
+            warnings.append(f"attribute {name!r} has no values and is not kept")
         else:
             fitting = _nearest_type(values, types)
             if not _same_numbers(fitting, values):

@@ -75,6 +75,17 @@ def test_names_of_the_arrays_themselves(tmp_path):
     assert list(formats.read(tmp_path / "a.npz").attributes) == ["points_2", "file_2"]
 
 
+def test_no_attribute_takes_the_place_of_another(tmp_path):
+    names = ["points", "points_2", "file", "allow_pickle", "h\udcf6he"]  # the last as a reader decodes Latin-1
+    cloud = Cloud(np.eye(3), attributes={name: np.full(3, number) for number, name in enumerate(names)})
+    warnings = formats.write(cloud, tmp_path / "a.npz")
+    assert [warning.rpartition(" ")[2] for warning in warnings] == [
+        "'points_2'", "'points_2_2'", "'file_2'", "'allow_pickle_2'", "'höhe'",
+    ]  # fmt: skip
+    found = formats.read(tmp_path / "a.npz").attributes
+    assert [values[0] for values in found.values()] == [0, 1, 2, 3, 4]
+
+
 @pytest.mark.parametrize(
     "array",
     [

@@ -149,6 +149,25 @@ def test_other_clouds_become_e57(tmp_path):
     assert (tmp_path / "a.e57").read_bytes() != b"" and len(formats.read(tmp_path / "b.e57")) == 29
 
 
+def test_no_attribute_takes_the_place_of_another(tmp_path):
+    """Names that XML does not allow, and the names of the standard's own fields."""
+    points = np.random.default_rng(0).normal(size=(4, 3))
+    fields = {"cartesianX": np.zeros(4), "cartesianInvalidState": np.ones(4)}
+    cloud = Cloud(points, points, {"ä": np.arange(4), "ö": np.arange(4) + 9} | fields)
+    first, second = formats.write(cloud, tmp_path / "a.e57")
+    assert "attribute 'ä' is written as '_'" in first and "attribute 'ö' is written as '__2'" in second
+    again = formats.read(tmp_path / "a.e57")
+    np.testing.assert_array_equal(again.points, points)
+    assert list(again.attributes) == ["_", "__2", "cartesianX", "cartesianInvalidState", "scan"]
+    assert again.attributes["_"].tolist() == [0, 1, 2, 3] and again.attributes["__2"].tolist() == [9, 10, 11, 12]
+
+
+@pytest.mark.parametrize("points", [np.empty((0, 3)), np.full((2, 3), np.nan)])
+def test_a_file_without_points_is_read(tmp_path, points):
+    formats.write(Cloud(points), tmp_path / "a.e57")
+    assert len(formats.read(tmp_path / "a.e57")) == 0
+
+
 def test_the_same_cloud_gives_the_same_bytes(tmp_path):
     cloud = Cloud(np.random.default_rng(0).normal(size=(30, 3)))
     for name in ("a.e57", "b.e57"):

@@ -136,6 +136,20 @@ def test_what_a_format_cannot_hold_is_reported(tmp_path):
     assert again.tolist() == [1, 2**63 - 1]
 
 
+@pytest.mark.parametrize(
+    "suffix", sorted({suffix for known in all_formats() if known.write for suffix in known.suffixes})
+)
+def test_a_latin_1_name_and_a_column_without_values_go_into_any_format(tmp_path, suffix):
+    header = "ply\nformat ascii 1.0\nelement vertex 3\n"
+    header += "".join(f"property float {name}\n" for name in ("x", "y", "z", "höhe")) + "end_header\n"
+    (tmp_path / "a.ply").write_bytes(f"{header}0 0 0 5\n1 0 0 6\n0 1 0 7\n".encode("latin-1"))
+    cloud = read(tmp_path / "a.ply")
+    cloud.attributes["empty"] = np.empty((3, 0))
+    warnings = write(cloud, tmp_path / f"b{suffix}")
+    assert any("'empty'" in warning for warning in warnings)
+    assert [5, 6, 7] in [values.tolist() for values in read(tmp_path / f"b{suffix}").attributes.values()]
+
+
 def test_faces_are_missed_in_other_formats(tmp_path):
     (tmp_path / "a.ply").write_text(
         "ply\nformat ascii 1.0\ncomment c\nelement vertex 1\nproperty int x\nproperty int y\nproperty int z\n"

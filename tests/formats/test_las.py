@@ -98,7 +98,8 @@ def test_normals_and_attributes_become_extra_dimensions(tmp_path):
         "a name of more than thirty-two letters": normals[:, 0],
     }
     cloud = Cloud(cloud.points, normals, cloud.attributes | added, cloud.source)
-    formats.write(cloud, tmp_path / "out.laz")
+    warnings = formats.write(cloud, tmp_path / "out.laz")
+    assert "letters' is written as 'a_name_of_more_than_thirty-two_l" in warnings[-1]
     las = laspy.read(tmp_path / "out.laz")
     assert list(las.point_format.extra_dimension_names)[-5:-2] == ["NormalX", "NormalY", "NormalZ"]
     np.testing.assert_array_equal(np.stack([las.NormalX, las.NormalY, las.NormalZ], axis=1), normals)
