@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.errors import ShapeError
+from jetnormal.errors import InputError, ShapeError
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,11 @@ class Cloud:
             point is an object array of arrays.
         source: what the file said about itself.
 
+    What a masked array hides is NaN.
+
     Raises:
         ShapeError: an array does not have one row per point.
+        InputError: points or normals are no real numbers, or the name of an attribute is no text.
     """
 
     points: NDArray[np.float64]
@@ -74,6 +77,7 @@ class Cloud:
             self.normals = _rows_of_three(self.normals, "normals")
             if len(self.normals) != len(self):
                 raise ShapeError(f"{len(self.normals)} normals for {len(self)} points")
+        self.attributes = {name: _attribute(name, values) for name, values in self.attributes.items()}
         for name, values in self.attributes.items():
             if np.ndim(values) == 0 or len(values) != len(self):
                 raise ShapeError(f"attribute {name!r} has shape {np.shape(values)} for {len(self)} points")
@@ -95,8 +99,33 @@ class Cloud:
         return np.asarray(np.isfinite(self.points).all(axis=1))
 
 
-def _rows_of_three(values: NDArray[Any], name: str) -> NDArray[np.float64]:
-    array = np.ascontiguousarray(values, dtype=np.float64)
+def unmasked(values: Any) -> NDArray[Any]:
+    """Return an array as it is, a masked one with NaN where it hides a value; integers are float64 then."""
+    if not np.ma.is_masked(values):
+        return np.asarray(values)
+    known = values.astype(np.float64) if values.dtype.kind in "iub" else values
+    return np.asarray(known.filled(np.nan))
+
+
+def _attribute(name: Any, values: Any) -> NDArray[Any]:
+    try:
+        name.encode("utf-8", "surrogateescape")  # as readers decode the names in a file
+    except (AttributeError, UnicodeEncodeError):
+        raise InputError(f"the name of an attribute is a text, not {name!r}") from None
+    try:
+        return unmasked(values)
+    except ValueError:  # lists of unequal lengths
+        raise ShapeError(f"attribute {name!r} is no array with a row for each point") from None
+
+
+def _rows_of_three(values: Any, name: str) -> NDArray[np.float64]:
+    array = unmasked(values)
+    try:
+        if array.dtype.kind not in "fiubO":
+            raise TypeError
+        array = np.ascontiguousarray(array, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be real numbers, not an array of {array.dtype}") from None
     if array.ndim != 2 or array.shape[1] != 3:
         raise ShapeError(f"{name} must have shape (N, 3), not {array.shape}")
     return array

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import Cloud, Source
+from jetnormal.cloud import Cloud, Source, unmasked
 from jetnormal.errors import InputError, ShapeError
 
 
@@ -67,7 +67,7 @@ def to_open3d(original: Any, cloud: Cloud) -> Any:
 
 def _from_array(values: Any) -> Cloud:
     try:
-        array = np.asarray(values)
+        array = unmasked(values)
         if array.dtype.kind not in "fiub":
             raise TypeError
         array = array.astype(np.float64)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jetnormal.cloud import Cloud, Source
+from jetnormal.errors import InputError
 
 
 def test_points_become_contiguous_float64():
@@ -39,3 +40,28 @@ def test_two_clouds_share_no_attributes():
 def test_arrays_without_one_row_per_point_are_refused(arguments):
     with pytest.raises(ValueError, match=r"point|normals|shape"):
         Cloud(**arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"points": np.zeros((4, 3), complex)},
+        {"points": np.full((4, 3), "a")},
+        {"points": np.full((4, 3), object())},
+        {"points": np.zeros((4, 3)), "attributes": {7: np.zeros(4)}},
+        {"points": np.zeros((4, 3)), "attributes": {"\ud800": np.zeros(4)}},
+        {"points": np.zeros((4, 3)), "attributes": {"ragged": [[1], [1, 2], [], []]}},
+    ],
+)
+def test_what_no_file_can_hold_is_refused(arguments):
+    with pytest.raises(InputError, match=r"numbers|text|array"):
+        Cloud(**arguments)
+
+
+def test_masked_values_are_nan():
+    hidden = np.array([[0, 0, 0], [0, 1, 0]])
+    points = np.ma.masked_array(np.arange(6).reshape(2, 3), hidden)
+    cloud = Cloud(points, attributes={"time": np.ma.masked_array([1, 2], [1, 0]), "label": [3, 4]})
+    np.testing.assert_array_equal(cloud.points, [[0, 1, 2], [3, np.nan, 5]])
+    np.testing.assert_array_equal(cloud.attributes["time"], [np.nan, 2])
+    assert cloud.attributes["label"].dtype == np.int64

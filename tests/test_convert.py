@@ -29,6 +29,11 @@ def test_arrays_and_lists_are_points(points):
     assert np.array_equal(to_cloud(points).points, POINTS)
 
 
+def test_masked_points_are_no_points():
+    points = np.ma.masked_array(POINTS, np.arange(36).reshape(12, 3) == 4)
+    assert np.flatnonzero(~to_cloud(points).valid).tolist() == [1]
+
+
 def test_organized_points_come_row_by_row_and_are_known_as_such():
     cloud = to_cloud(POINTS.reshape(3, 4, 3))
     assert np.array_equal(cloud.points, POINTS)
