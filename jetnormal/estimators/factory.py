@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -153,7 +154,7 @@ def _parse(model: str) -> tuple[str, dict[str, int]]:
     settings = {}
     for item in text.split(","):
         key, _, value = item.partition("=")
-        if key not in SETTINGS or not value.isdigit():
+        if key not in SETTINGS or not re.fullmatch("[0-9]{1,18}", value):
             raise UsageError(f"{model}: {item!r} is no setting; write k=, order= or iterations= and a number")
         settings[key] = int(value)
     return name, settings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
@@ -56,7 +57,7 @@ def estimate_files(
         raise UsageError("`skip_existing` contradicts `overwrite`: leave one of them out")
     targets = [target_for(source, folder, files, batch) for source in sources]
     _check_names(sources, targets)
-    skipped = [target for target in targets if batch.skip_existing and target.exists()]
+    skipped = [target for target in targets if batch.skip_existing and _size(target) is not None]
     todo = [(source, target) for source, target in zip(sources, targets, strict=True) if target not in skipped]
     _make_folder(folder)
     for _, target in todo:
@@ -102,13 +103,21 @@ def target_for(source: Path, folder: Path, files: FileOptions, batch: BatchOptio
 
 def _check_names(sources: Sequence[Path], targets: Sequence[Path]) -> None:
     taken: dict[Path, Path] = {}
-    inputs = {source.resolve() for source in sources}
+    inputs = {os.path.realpath(source) for source in sources}  # which a loop of links does not stop
     for source, target in zip(sources, targets, strict=True):
         if target in taken:
             raise UsageError(f"{source} and {taken[target]} would both become {target}; run them into two folders")
-        if target.resolve() in inputs:
+        if os.path.realpath(target) in inputs:
             raise UsageError(f"{target} is an input itself: choose another folder, or give `suffix=_n`")
         taken[target] = source
+
+
+def _size(path: Path) -> int | None:
+    """Bytes of a file; None if there is none, or if its name is none, as when it is too long."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return None
 
 
 def _make_folder(folder: Path) -> None:
@@ -122,7 +131,7 @@ def _run(
     todo: Sequence[tuple[Path, Path]], run_one: Callable[[Path, Path], dict[str, Any]], jobs: int, finished: Report
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """The summaries of the files that are done, and what failed, in the order of the files."""
-    sizes = [source.stat().st_size if source.is_file() else 0 for source, _ in todo]
+    sizes = [_size(source) or 0 for source, _ in todo]
     done: dict[int, dict[str, Any]] = {}
     failed: dict[int, dict[str, Any]] = {}
     with progress("files", max(1, sum(sizes)), "bytes") as advance, ThreadPoolExecutor(jobs) as pool:

@@ -114,7 +114,7 @@ class NormalOptions(OptionSet):
     def __post_init__(self) -> None:
         given: Any = self.viewpoint
         if hasattr(given, "__len__") and not isinstance(given, str):  # a list or an array is as good as a tuple
-            object.__setattr__(self, "viewpoint", tuple(float(value) for value in given))
+            object.__setattr__(self, "viewpoint", _numbers(given))
         if isinstance(self.model, PathLike):
             object.__setattr__(self, "model", str(self.model))
         if not isinstance(self.model, str):
@@ -135,6 +135,18 @@ class NormalOptions(OptionSet):
             for option in ("viewpoint", "viewpoint_attribute", "trajectory"):
                 if getattr(self, option) is not None:
                     raise UsageError(f"`{option}` contradicts `orient={self.orient}`: leave one of them out")
+
+
+def _numbers(given: Any) -> tuple[float, ...]:
+    """The numbers of a sequence.
+
+    Raises:
+        UsageError: it holds anything else.
+    """
+    try:
+        return tuple(float(value) for value in given)
+    except (TypeError, ValueError, OverflowError):
+        raise UsageError(f"`viewpoint` takes three finite numbers, not {str(given)[:80]}") from None
 
 
 @dataclass(frozen=True)

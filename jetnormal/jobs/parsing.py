@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Literal
 
@@ -53,7 +54,10 @@ def parse_bytes(text: str) -> int:
     if match is None:
         raise ValueError(f"{text!r} is no size such as 4GB or 500MB")
     unit = 1024 if match[3] else 1000
-    return round(float(match[1]) * unit ** " KMGT".index(match[2].upper() or " "))
+    size = float(match[1]) * unit ** " KMGT".index(match[2].upper() or " ")
+    if not math.isfinite(size):
+        raise ValueError("no size has so many digits")
+    return round(size)
 
 
 def complete_model(text: str) -> list[str]:

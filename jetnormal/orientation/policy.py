@@ -139,7 +139,8 @@ def settle(
     """
     points, exponent = unit_scale(points)
     if sensors is not None:
-        places = np.clip(np.ldexp(sensors.places, exponent), -FARTHEST, FARTHEST)
+        with np.errstate(over="ignore"):
+            places = np.clip(np.ldexp(sensors.places, exponent), -FARTHEST, FARTHEST)
         orientation = choose_signs(points, normals, "viewpoint", viewpoint=places)
         unseen = 0 if places.ndim == 1 else int((~np.isfinite(places).all(axis=1)).sum())
         return orientation, replace(_decision(orientation, asked, "viewpoint", sensors.reason), unseen=unseen)

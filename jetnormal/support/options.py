@@ -177,7 +177,7 @@ def _fits(value: Any, part: Any) -> bool:
     if part is Any:
         return True
     if get_origin(part) is Literal:
-        return value in get_args(part)
+        return any(isinstance(value, type(choice)) and value == choice for choice in get_args(part))
     if get_origin(part) is tuple:
         if not isinstance(value, tuple):
             return False

@@ -41,6 +41,17 @@ def test_a_failure_leaves_the_others_alone(scans, tmp_path):
         assert formats.read(path).normals is not None
 
 
+def test_names_that_no_file_can_have_are_input_errors(scans, tmp_path):
+    loop, other = tmp_path / "loop.xyz", tmp_path / "other.xyz"
+    loop.symlink_to(other)
+    other.symlink_to(loop)
+    summary = estimate_files([loop, scans[0]], tmp_path / "out", OPTIONS)
+    assert len(summary["files"]) == 1 and summary["failed"][0]["code"] == 3
+    for folder, suffix in ((loop, ""), (tmp_path / "new", "n" * 5000)):
+        with pytest.raises(InputError):
+            estimate_files([scans[0]], folder, OPTIONS, batch=BatchOptions(suffix=suffix, skip_existing=True))
+
+
 def test_one_model_computes_one_cloud_at_a_time(scans, tmp_path, monkeypatch):
     made, busy = [], threading.Semaphore(1)
     prepare = batches.prepare_estimator

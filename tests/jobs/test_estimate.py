@@ -130,6 +130,10 @@ def test_up_and_none():
         {"orient": "north"},
         {"viewpoint": (np.nan, 0.0, 0.0)},
         {"viewpoint": (1.0, 2.0)},
+        {"viewpoint": ["a", "b", "c"]},
+        {"viewpoint": [10**400, 0, 0]},
+        {"viewpoint": np.array(3.0)},
+        {"orient": np.array(["up"])},
         {"threads": 0},
         {"batch_size": -1},
         {"model": "pca", "curvature": True},
@@ -163,6 +167,12 @@ def test_coordinates_whose_squares_overflow_are_an_input_error():
     with pytest.raises(InputError, match=r"1e\+300"):
         estimate(points, model="pca")
     assert angles(estimate(sphere(100) * 1e100, model="pca"), estimate(sphere(100), model="pca")).max() < 1e-3
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_viewpoint_beyond_all_numbers_is_far_away():
+    normals = estimate(sphere(100), model="pca", viewpoint=(1e308, 0, 0))
+    assert (normals[:, 0] >= 0).all()
 
 
 def test_a_viewpoint_of_the_file_that_is_not_finite_is_none():
