@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 from shapes import sphere_cloud
 
 from jetnormal.cloud import Cloud
@@ -140,8 +141,16 @@ def test_what_is_resumed_must_be_there_and_of_this_input(tmp_path, monkeypatch, 
     with pytest.raises(KeyboardInterrupt):
         in_tiles(source, target)
     assert "is kept" in caplog.text
+    folder = tmp_path / "b.ply.tiles"
+    left = sorted(path.name for path in folder.iterdir())
+    with FileLock(folder / ".lock"), pytest.raises(InputError, match="another process computes these tiles"):
+        in_tiles(source, target, resume=True)
+    assert sorted(path.name for path in folder.iterdir()) == left
     write(sphere_cloud(4000), source, overwrite=True)
     with pytest.raises(UsageError, match="made with another input"):
+        in_tiles(source, target, resume=True)
+    (folder / "job.json").write_text("{")
+    with pytest.raises(InputError, match=r"job\.json: damaged .* start anew"):
         in_tiles(source, target, resume=True)
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from jetnormal import formats
 from jetnormal._version import __version__
@@ -27,7 +30,7 @@ from jetnormal.jobs.tiled.work import FIND, SIGN, run_task, signs_are_local
 from jetnormal.orientation.policy import Decision, find_sensors
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb, progress
 
-JOB, ROOM = "job", "room"
+JOB, ROOM, LOCK = "job", "room", ".lock"
 _NOT_IN_RESULTS = ("threads", "device", "batch_size")  # options that change how a result is reached
 
 
@@ -54,9 +57,10 @@ def estimate_in_tiles(
         A summary as that of `estimate_file`, and under tiles: their number, the points of the largest, bytes on disk.
 
     Raises:
-        UsageError: the estimator needs the whole cloud.
-        InputError: as `estimate_file`; a file cannot be read or written in pieces; the disk is too small; there is
-            nothing to resume, or it was made of another input or with other options.
+        UsageError: the estimator needs the whole cloud; there is nothing to resume, or it was made of another input or
+            with other options.
+        InputError: as `estimate_file`; a file cannot be read or written in pieces; the disk is too small; another
+            process computes the same tiles; a file of the tiles is damaged.
     """
     timer = StageTimer()
     formats.check_pieces(target, format=formats.format_for(target, files.format))
@@ -72,22 +76,59 @@ def estimate_in_tiles(
     if not resume:
         each_has_sensor = sensors is not None and sensors.places.ndim == 2
         check_disk(folder.parent, stream, source, each_has_sensor=each_has_sensor)
-    store = _open_store(folder, _identity(source, options, files), resume)
-    job = _Job(store, stream, source, options, cluster, timer)
-    try:
-        room = Room(*(store.read_json(ROOM) or asdict(room)).values())
-        plan = job.distribute(room)
-        job.find_directions(plan)
-        decision = job.find_signs(plan, room.thinned)
-        summary = job.write(plan, decision, target, files, overwrite=overwrite)
-    except BaseException:
-        if Plan.of(store) is None:
-            shutil.rmtree(folder, ignore_errors=True)
-        else:
-            logger.warning("%s is kept: the same command with `resume` goes on from there", folder)
-        raise
+    _find_folder(folder, resume)
+    with _locked(folder):
+        store = _open_store(folder, _identity(source, options, files), resume)
+        job = _Job(store, stream, source, options, cluster, timer)
+        try:
+            room = Room(*(store.read_json(ROOM) or asdict(room)).values())
+            plan = job.distribute(room)
+            job.find_directions(plan)
+            decision = job.find_signs(plan, room.thinned)
+            summary = job.write(plan, decision, target, files, overwrite=overwrite)
+        except BaseException:
+            if Plan.of(store) is None:
+                shutil.rmtree(folder, ignore_errors=True)
+            else:
+                logger.warning("%s is kept: the same command with `resume` goes on from there", folder)
+            raise
     shutil.rmtree(folder)
     return summary
+
+
+def _find_folder(folder: Path, resume: bool) -> None:
+    """Make the folder of the tiles, or see that an interrupted run has left it.
+
+    Raises:
+        UsageError: there is nothing to be resumed.
+        InputError: the folder cannot be made.
+    """
+    if folder.is_dir() and Store(folder).read_json(JOB) is not None:
+        return
+    if resume:
+        raise UsageError(f"{folder}: there is nothing to go on with; leave `resume` out")
+    try:
+        folder.mkdir(exist_ok=folder.is_dir() and all(path.name == LOCK for path in folder.iterdir()))
+    except OSError as error:
+        raise InputError(f"{folder}: the folder of the tiles cannot be made ({error.strerror or error})") from error
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep other processes out of the folder; the system lets them in again whichever way this one ends.
+
+    Raises:
+        InputError: another process is there.
+    """
+    lock = FileLock(folder / LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise InputError(f"{folder}: another process computes these tiles; wait for it or end it") from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 @dataclass(frozen=True)
@@ -105,7 +146,7 @@ class _Job:
         """All points into their tiles."""
         plan = Plan.of(self.store)
         if plan is None:
-            self.store.clear(JOB)  # what an interrupted distribution has left
+            self.store.clear(f"{JOB}.json", LOCK)  # what an interrupted distribution has left
             self.store.write_json(ROOM, asdict(room))
             with self.timer.stage("clean"):
                 plan = distribute(self.stream, self.store, self.options, room.tile)
@@ -182,26 +223,20 @@ def _open_store(folder: Path, identity: dict[str, Any], resume: bool) -> Store:
     """The folder of tiles: a new one, or the one that an interrupted run has left.
 
     Raises:
-        UsageError: there is one, and it is not to be resumed; or there is none, or it belongs to something else.
+        UsageError: there is one, and it is not to be resumed, or it belongs to something else.
     """
     store = Store(folder)
-    known = store.read_json(JOB) if folder.is_dir() else None
-    if resume:
-        if known is None:
-            raise UsageError(f"{folder}: there is nothing to go on with; leave `resume` out")
+    known = store.read_json(JOB)
+    if known is None:
+        store.write_json(JOB, identity)
+    elif not resume:
+        raise UsageError(f"{folder}: an interrupted run has left this; go on with `resume`, or remove it")
+    else:
         changed = [key for key in identity if known.get(key) != identity[key]]
         if changed:
             raise UsageError(
                 f"{folder}: was made with another {' and '.join(changed)}; remove it, or leave `resume` out"
             )
-        return store
-    if known is not None:
-        raise UsageError(f"{folder}: an interrupted run has left this; go on with `resume`, or remove it")
-    try:
-        folder.mkdir(exist_ok=folder.is_dir() and not any(folder.iterdir()))
-    except OSError as error:
-        raise InputError(f"{folder}: the folder of the tiles cannot be made ({error.strerror or error})") from error
-    store.write_json(JOB, identity)
     return store
 
 

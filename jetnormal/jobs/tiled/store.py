@@ -1,5 +1,6 @@
 """The folder of tiles: what is on disk while a large cloud is computed. A JSON file or array is complete or not there.
 
+.lock                held while a process computes the tiles
 job.json             what is computed: the input and the options
 room.json            points of a tile, and of the thinned cloud
 plan.json            the tiles; there once all points are in them
@@ -26,6 +27,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.errors import InputError
 from jetnormal.formats.atomic import atomic_write
 
 Floats = NDArray[np.float64]
@@ -42,10 +44,10 @@ class Store:
 
     folder: Path
 
-    def clear(self, kept: str) -> None:
-        """Remove everything but one JSON file."""
+    def clear(self, *kept: str) -> None:
+        """Remove all files but some."""
         for path in self.folder.iterdir():
-            if path.name != f"{kept}.json":
+            if path.name not in kept:
                 path.unlink()
 
     def append(self, kind: str, tile: int, values: NDArray[Any]) -> None:
@@ -80,10 +82,18 @@ class Store:
             stream.write(json.dumps(content).encode())
 
     def read_json(self, name: str) -> dict[str, Any] | None:
-        """Read it; None if it is not there."""
+        """Read it; None if it is not there.
+
+        Raises:
+            InputError: it is damaged.
+        """
         path = self.folder / f"{name}.json"
-        content: dict[str, Any] | None = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
-        return content
+        if not path.exists():
+            return None
+        try:
+            return dict(json.loads(path.read_bytes()))
+        except (ValueError, TypeError, RecursionError) as error:
+            raise InputError(f"{path}: damaged ({error}); remove {self.folder} and start anew") from error
 
     def write_arrays(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write arrays under their names."""
