@@ -13,7 +13,7 @@ from jetnormal.cli.derive import one_of, with_options
 from jetnormal.cli.options import Json, Quiet, Verbose, set_verbosity
 from jetnormal.errors import UsageError
 from jetnormal.evaluation.options import EvaluateOptions
-from jetnormal.jobs.parsing import complete_model, parse_vector
+from jetnormal.jobs.parsing import complete_model, parse_direction
 from jetnormal.support.report import logger, print_json
 
 
@@ -48,7 +48,10 @@ def evaluate(
     up: Annotated[
         Any,
         typer.Option(
-            parser=parse_vector, metavar="X,Y,Z", help="Direction that is up in the heatmaps.", rich_help_panel="Output"
+            parser=parse_direction,
+            metavar="X,Y,Z",
+            help="Direction that is up in the heatmaps.",
+            rich_help_panel="Output",
         ),
     ] = "0,1,0",
     force: Annotated[

@@ -20,6 +20,14 @@ def parse_vector(text: str) -> Vector:
     return x, y, z
 
 
+def parse_direction(text: str) -> Vector:
+    """Turn "X,Y,Z" into three finite numbers, not all of them zero."""
+    direction = parse_vector(text)
+    if not all(map(math.isfinite, direction)) or not any(direction):
+        raise ValueError(f"{text!r} is no direction: give three finite numbers, not all of them zero")
+    return direction
+
+
 def parse_names(text: str) -> Names:
     """Turn "X,Y,Z" into three names."""
     names = tuple(part.strip() for part in text.split(","))
@@ -35,7 +43,7 @@ def parse_words(text: str) -> tuple[str, ...]:
 
 def parse_up(text: str) -> Vector | Literal["auto"]:
     """Turn "X,Y,Z" into three numbers; "auto" stays."""
-    return "auto" if text == "auto" else parse_vector(text)
+    return "auto" if text == "auto" else parse_direction(text)
 
 
 def parse_component(text: str) -> int | Literal["largest"]:

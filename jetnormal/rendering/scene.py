@@ -51,6 +51,7 @@ class Scene:
         """Return the scene, turned by the smallest rotation that brings direction `up` (3,) to z; colors stay."""
         from scipy.spatial.transform import Rotation
 
+        up = up / np.abs(up).max()  # of any length
         axis = np.cross(up, [0.0, 0.0, 1.0])
         length = float(np.linalg.norm(axis))
         axis = axis / length if length else np.array([1.0, 0.0, 0.0])
@@ -160,4 +161,10 @@ def _colored(scene: Scene, coloring: str) -> Scene:
 
 
 def _centered(points: Floats) -> Floats:
-    return points - (points.min(axis=0) + points.max(axis=0)) / 2
+    """Points around the middle of their box; of sizes that float32 and squares do not hold, scaled to size one."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float((high / 2 - low / 2).max())
+    if size > 0 and not 1e-9 < size < 1e15:
+        exponent = -int(np.frexp(size)[1])
+        points, low, high = (np.ldexp(values, exponent) for values in (points, low, high))
+    return points - (low / 2 + high / 2)

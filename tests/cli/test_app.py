@@ -218,6 +218,7 @@ def test_a_limit_on_memory_that_libraries_abort_under_is_refused(tmp_path):
         ["estimate", "in.ply", "-o", "out.ply", "--skip-existing"],
         ["estimate", "in.ply", "--out-dir", "out", "--mesh", "mesh.ply"],
         ["estimate", "-", "--out-dir", "out", "--format", "ply"],
+        ["evaluate", "--data", "d", "--model", "pca", "--plots", "p", "--up", "0,0,0"],
         ["estimate", "in.ply", "-o", "out.ply", "--max-memory", f"{'9' * 400}GB"],
         ["estimate", "in.ply", "-o", "-", "--format", "ply", "--mesh", "mesh.ply"],
         ["unknown"],

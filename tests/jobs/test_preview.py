@@ -15,7 +15,7 @@ from jetnormal.cli.app import app
 from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import write_mesh
 from jetnormal.jobs.options import PreviewOptions
-from jetnormal.jobs.preview import _columns, in_grid, preview_file
+from jetnormal.jobs.preview import _columns, draw, in_grid, preview_file
 from jetnormal.mesh import Mesh
 from jetnormal.rendering.scene import cloud_scene
 
@@ -79,6 +79,22 @@ def test_up_is_brought_to_z_and_nothing_is_deformed(up):
     np.testing.assert_allclose(offset, [0, 0, np.linalg.norm(up)], atol=1e-12)
     np.testing.assert_allclose(turned.points @ turned.normals.T, scene.points @ scene.normals.T, atol=1e-12)
     np.testing.assert_array_equal(turned.colors, scene.colors)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [1e-300, 1e140, 1e300])
+def test_the_size_of_a_cloud_does_not_matter(size):
+    points = np.random.default_rng(0).normal(size=(300, 3))
+    options = PreviewOptions(size=40, views=("iso",))
+    seen, same = (draw([cloud_scene(Cloud(scale * points))], options) for scale in (1.0, size))
+    assert np.abs(seen.astype(int) - same).max() <= 2 and seen.min() < 200
+
+
+@pytest.mark.parametrize("length", [1e308, 1e-320])
+def test_up_may_have_any_length(length):
+    scene = cloud_scene(Cloud(np.eye(3)))
+    turned = scene.turned_up(np.array([0.0, length, length]))
+    np.testing.assert_allclose(turned.points, scene.turned_up(np.array([0.0, 1.0, 1.0])).points, atol=1e-3)
 
 
 def test_a_ply_file_with_faces_is_drawn_as_a_mesh(files):
