@@ -29,7 +29,7 @@ from jetnormal.formats.e57_tree import (
     fill_blobs,
     node_of,
 )
-from jetnormal.formats.registry import library
+from jetnormal.formats.registry import WRITE_ADVICE, library, library_errors
 from jetnormal.formats.scans import (
     SCAN,
     Pose,
@@ -71,11 +71,12 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
     place = Path(stream.name).parent if isinstance(stream.name, str) else None
     with tempfile.TemporaryDirectory(dir=place, prefix=".jetnormal-") as folder:  # the library wants a file of its own
         path = Path(folder) / "cloud.e57"
-        image = e57.ImageFile(str(path), "w")
-        try:
-            _write_image(e57, image, columns, scans, details)
-        finally:
-            image.close()
+        with library_errors("E57 output", "pye57", WRITE_ADVICE):
+            image = e57.ImageFile(str(path), "w")
+            try:
+                _write_image(e57, image, columns, scans, details)
+            finally:
+                image.close()
         with path.open("rb") as written:
             shutil.copyfileobj(written, stream)
     return warnings + renamed + changed + respelled

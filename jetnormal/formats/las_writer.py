@@ -28,7 +28,7 @@ from jetnormal.formats.las_dimensions import (
 )
 from jetnormal.formats.las_extra import WITHOUT_WAVES, LasExtra, import_laspy
 from jetnormal.formats.las_records import LONGEST_COMPRESSED, Record
-from jetnormal.formats.registry import library_errors
+from jetnormal.formats.registry import WRITE_ADVICE, library_errors
 from jetnormal.formats.storage import COLORS, to_storable
 from jetnormal.formats.streams import RowWriter, SameLayout, write_whole
 
@@ -107,7 +107,7 @@ class _Rows:
             standard |= dict.fromkeys(("return_number", "number_of_returns"), np.ones(len(rows), np.uint8))
         for name, values in [*standard.items(), *zip(self._added, others.values(), strict=True)]:
             table[name] = values
-        with library_errors("LAS output", "laspy"):
+        with library_errors("LAS output", "laspy", WRITE_ADVICE):
             self._writer.write_points(table)
 
     def _point_format(self) -> Any:
@@ -135,7 +135,7 @@ class _Rows:
         # The parallel compressor takes memory for whole chunks at once.
         parallel = rows > _COMPRESSED_CHUNK
         backend = self._laspy.LazBackend.LazrsParallel if parallel else self._laspy.LazBackend.Lazrs
-        with library_errors("LAS output", "laspy"):
+        with library_errors("LAS output", "laspy", WRITE_ADVICE):
             self._writer = self._laspy.LasWriter(
                 self._stream,
                 self._header,
@@ -156,7 +156,7 @@ class _Rows:
     def finish(self) -> list[str]:
         """Write what follows the points, and what the header says of all of them."""
         laspy, extra, writer = self._laspy, self._extra, self._writer
-        with library_errors("LAS output", "laspy"):
+        with library_errors("LAS output", "laspy", WRITE_ADVICE):
             if self._late:
                 writer.write_evlrs(laspy.vlrs.vlrlist.VLRList([_as_vlr(laspy, record) for record in self._late]))
             if extra:

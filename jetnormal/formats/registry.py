@@ -123,6 +123,9 @@ def find_format(path: Path, name: str | None = None) -> Format:
     raise InputError(f"{path}: unknown suffix {path.suffix!r}; supported are {' '.join(suffixes())}")
 
 
+WRITE_ADVICE = "is the disk full? Free some space, or choose another output or format"
+
+
 def library(name: str, extra: str, path: Path | str) -> ModuleType:
     """Import a library that an extra of jetnormal installs.
 
@@ -139,7 +142,9 @@ def library(name: str, extra: str, path: Path | str) -> ModuleType:
 
 
 @contextmanager
-def library_errors(path: Path | str, library: str) -> Iterator[None]:
+def library_errors(
+    path: Path | str, library: str, advice: str = "is it damaged? Export the file again"
+) -> Iterator[None]:
     """Turn whatever a library raises about a file into an `InputError`, but for our own, the system's and memory's.
 
     Libraries raise what comes (KeyError, struct.error, their own classes, the panics of compiled code).
@@ -152,6 +157,4 @@ def library_errors(path: Path | str, library: str) -> Iterator[None]:
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise InputError(
-            f"{path}: {library} cannot handle it ({reason[:200]}); is it damaged? Export the file again"
-        ) from error
+        raise InputError(f"{path}: {library} cannot handle it ({reason[:200]}); {advice}") from error

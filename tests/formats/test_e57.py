@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -160,6 +162,22 @@ def test_no_attribute_takes_the_place_of_another(tmp_path):
     np.testing.assert_array_equal(again.points, points)
     assert list(again.attributes) == ["_", "__2", "cartesianX", "cartesianInvalidState", "scan"]
     assert again.attributes["_"].tolist() == [0, 1, 2, 3] and again.attributes["__2"].tolist() == [9, 10, 11, 12]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sizes of files are not limited there")
+def test_a_full_disk_is_an_input_error(tmp_path):
+    import resource
+
+    cloud, before = Cloud(np.zeros((1000, 3))), resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, before[1]))
+    try:
+        with pytest.raises(InputError, match="is the disk full"):
+            formats.write(cloud, tmp_path / "a.e57")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("points", [np.empty((0, 3)), np.full((2, 3), np.nan)])
