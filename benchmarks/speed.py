@@ -3,12 +3,14 @@
     python benchmarks/speed.py [--points 100000] [--repeats 3] [--model deepfit-small --model pca:k=30 ...]
     python benchmarks/speed.py --stages cloudfit
     python benchmarks/speed.py --command [--sizes 10000 100000 1000000] [--repeats 5]
+    python benchmarks/speed.py --memory [--sizes 1000000 2000000] [--model pca:k=16 ...]
 
 The cloud is a procedural solid with a little noise (0.25 % of its diagonal), from seed 1; nothing is downloaded.
 Each model runs in a process of its own, so that its peak memory is its own; the time is the median over the repeats,
 from an array of points to unoriented normals, imports apart. The ratio is to Open3D's estimate_normals with k = 30.
 With --command the whole command is timed instead, from the start of the process to its end, beside a script that does
 the same with Open3D: import, read, estimate_normals(k=30), perhaps orient_normals_consistent_tangent_plane(12), write.
+With --memory, the peak memory of the whole command is measured instead, signs included, and how it grows.
 """
 
 from __future__ import annotations
@@ -141,6 +143,27 @@ def print_command(sizes: list[int], repeats: int) -> None:
             print_row(count, "jetnormal", timed(command, repeats), plain, stages)
 
 
+def print_memory(models: list[str], sizes: list[int]) -> None:
+    """The peak memory of the whole command, and between the two largest sizes the growth by a million points."""
+    import jetnormal
+
+    *_, less, most = sorted(sizes)
+    print(f"| model | {' | '.join(f'{count:,} points' for count in sizes)} | each further million |")
+    print("|---|" + "---|" * (len(sizes) + 1))
+    with tempfile.TemporaryDirectory() as folder:
+        for count in sizes:
+            jetnormal.write(jetnormal.Cloud(cloud(count)[0]), Path(folder) / f"{count}.ply")
+        for model in models:
+            peaks = {}
+            for count in sizes:
+                source, target = str(Path(folder) / f"{count}.ply"), str(Path(folder) / "out.ply")
+                command = [sys.executable, "-m", "jetnormal", "estimate", source, "-o", target, "--force", "--json"]
+                peaks[count] = timed([*command, "--model", model], 1)[0]["peak_memory_mb"] / 1000
+            further = (peaks[most] - peaks[less]) / (most - less) * 1e6
+            cells = [model, *(f"{peaks[count]:.2f} GB" for count in sizes), f"{further:.2f} GB"]
+            print(f"| {' | '.join(cells)} |", flush=True)
+
+
 def timed(command: list[str], repeats: int, environment: dict[str, str] | None = None) -> list[dict[str, Any]]:
     """What fresh processes print as JSON, with their wall clock under "wall", the quickest first."""
     runs = []
@@ -181,14 +204,18 @@ def main() -> None:
     parser.add_argument("--model", action="append", help="repeatable; the default is a choice of all kinds")
     parser.add_argument("--stages", metavar="MODEL", help="print where a whole-cloud model spends its time")
     parser.add_argument("--command", action="store_true", help="time the whole command beside a script with Open3D")
-    parser.add_argument("--sizes", type=int, nargs="+", default=[10_000, 100_000, 1_000_000], help="for --command")
+    parser.add_argument("--memory", action="store_true", help="peak memory of the whole command")
+    parser.add_argument("--sizes", type=int, nargs="+", help="for --command and --memory")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # what the child processes are asked for
     arguments = parser.parse_args()
     if arguments.one:
         print(json.dumps(measure(arguments.one, arguments.points, arguments.repeats)))
         return
     if arguments.command:
-        print_command(arguments.sizes, arguments.repeats)
+        print_command(arguments.sizes or [10_000, 100_000, 1_000_000], arguments.repeats)
+        return
+    if arguments.memory:
+        print_memory(arguments.model or ["cloudfit", "pca:k=16", "jet"], arguments.sizes or [1_000_000, 2_000_000])
         return
     if arguments.stages:
         print_stages(arguments.stages, arguments.points, arguments.repeats)
