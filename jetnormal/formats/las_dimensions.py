@@ -21,11 +21,13 @@ _FINEST_SCALE = 12  # decimals
 
 def decimal_scale(values: NDArray[np.float64]) -> float:
     """Return the coarsest power of ten of which all are multiples; else the finest that 31 bits allow."""
-    finest = finest_scale(float(np.abs(values).max(initial=0)))
+    largest = float(np.abs(values).max(initial=0))
+    finest, rounding = finest_scale(largest), float(np.finfo(np.float32).eps) * largest
     scale = max(1.0, finest)
     while scale > finest:
         scaled = values / scale
-        if np.abs(scaled - np.rint(scaled)).max(initial=0) < 1e-4:
+        off = np.abs(scaled - np.rint(scaled)).max(initial=0)
+        if off < 1e-4 and off * scale <= rounding:
             break
         scale = _power_of_ten(round(np.log10(scale)) - 1)
     return scale
@@ -57,6 +59,7 @@ def to_integers(
     rounding = 4 * np.spacing(largest + abs(offset))
     if dtype == np.float32:
         rounding = max(rounding, float(np.spacing(np.float32(largest))) / 2)
+    rounding = min(rounding, 1e-6 * largest)  # near zero, the offset has fewer decimals than the values
     exact = bool(np.abs(scaled * scale + offset - values).max(initial=0) <= rounding)
     return scaled.astype(np.int32), exact
 

@@ -165,6 +165,13 @@ def test_coordinates_between_the_finest_steps_are_rounded_and_said_so(tmp_path):
     np.testing.assert_allclose(formats.read(tmp_path / "a.las").points, points, atol=0.5e-5)
 
 
+@pytest.mark.parametrize("size", [1e-3, 1e-5, 1e-7])
+def test_a_tiny_cloud_keeps_its_shape(tmp_path, size):
+    points = np.random.default_rng(0).random((30, 3)) * size
+    formats.write(Cloud(points), tmp_path / "a.las")
+    np.testing.assert_allclose(formats.read(tmp_path / "a.las").points, points, rtol=0, atol=1e-12)
+
+
 def test_single_precision_needs_no_warning(tmp_path):
     points = np.random.default_rng(1).uniform(-90, 90, (20, 3)).astype(np.float32)
     cloud = Cloud(points, source=Source(point_dtype=np.dtype(np.float32)))
