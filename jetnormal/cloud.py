@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from jetnormal.errors import InputError, ShapeError
 
+MAX_COORDINATE = 1e150  # that can be computed with: squares of differences must be finite
+
 
 @dataclass(frozen=True)
 class Source:

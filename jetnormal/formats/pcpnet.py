@@ -6,6 +6,7 @@ from Raw Point Clouds", Eurographics 2018).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.cloud import MAX_COORDINATE
 from jetnormal.errors import InputError
 from jetnormal.formats import read
 from jetnormal.formats.atomic import atomic_write
@@ -127,7 +129,10 @@ def read_cloud(directory: Path, name: str) -> tuple[NDArray[np.float64], NDArray
     Raises:
         InputError: A file is unreadable or does not match the others.
     """
-    points = _read_numbers(file_of(directory, name, "xyz"), columns=3)
+    path = file_of(directory, name, "xyz")
+    points = _read_numbers(path, columns=3)
+    if (largest := np.abs(points).max()) > MAX_COORDINATE:
+        raise InputError(f"{path}: coordinates as large as {largest:.3g} cannot be computed with; remove those points")
     path = file_of(directory, name, "normals")
     normals = _read_numbers(path, columns=3)
     if len(normals) != len(points):
@@ -138,10 +143,10 @@ def read_cloud(directory: Path, name: str) -> tuple[NDArray[np.float64], NDArray
     path = file_of(directory, name, "pidx")
     if not path.is_file():
         return points, normals / length, None
-    queries = _read_numbers(path, columns=1)[:, 0].astype(np.int64)
-    if queries.min() < 0 or queries.max() >= len(points):
+    queries = _read_numbers(path, columns=1)[:, 0]
+    if not np.isin(queries, np.arange(len(points))).all():
         raise InputError(f"{path}: an index is not among the {len(points)} points")
-    return points, normals / length, queries
+    return points, normals / length, queries.astype(np.int64)
 
 
 def write_cloud(
@@ -222,7 +227,9 @@ def file_of(directory: Path, name: str, suffix: str) -> Path:
 def _read_numbers(path: Path, columns: int, finite: bool = True) -> NDArray[np.float64]:
     """Read a text file of numbers, (N, columns), N > 0, all of them finite unless said otherwise."""
     try:
-        numbers = np.loadtxt(path, dtype=np.float64, ndmin=2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about a file without numbers, which is refused below
+            numbers = np.loadtxt(path, dtype=np.float64, ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: {error}") from error
     if numbers.size == 0 or numbers.shape[1] != columns or (finite and not np.isfinite(numbers).all()):

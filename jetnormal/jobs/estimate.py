@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import Cloud
+from jetnormal.cloud import MAX_COORDINATE, Cloud
 from jetnormal.errors import InputError
 from jetnormal.estimators.base import Estimator
 from jetnormal.jobs.files import check_file, check_format, read_file, write_file
@@ -24,8 +24,6 @@ from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 
 if TYPE_CHECKING:
     from jetnormal.orientation.policy import Decision
-
-MAX_COORDINATE = 1e150  # squares of differences must be finite
 
 
 @dataclass(frozen=True, repr=False)

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import Cloud
+from jetnormal.cloud import MAX_COORDINATE, Cloud
 from jetnormal.errors import InputError
 from jetnormal.formats.meshes import check_mesh_target, gltf_offset, write_mesh
 from jetnormal.formats.ply import PlyExtra
-from jetnormal.jobs.estimate import MAX_COORDINATE, find_normals
+from jetnormal.jobs.estimate import find_normals
 from jetnormal.jobs.files import check_format, read_file
 from jetnormal.jobs.options import DEPTHS, ReadOptions, ReconstructOptions
 from jetnormal.jobs.prediction import prepare_estimator

@@ -132,8 +132,12 @@ def test_missing_and_mismatched_files_are_named(folder, turned):
     (folder / "bb.normals").write_text("0 0 1\n")
     with pytest.raises(InputError, match=r"bb\.normals: 1 normals for 400 points"):
         evaluate(folder, [turned(1.0)])
-    (folder / "a.pidx").write_text("400\n")
-    with pytest.raises(InputError, match=r"a\.pidx: an index is not among the 400 points"):
+    for index in ("400", "-1", "1.5"):
+        (folder / "a.pidx").write_text(index)
+        with pytest.raises(InputError, match=r"a\.pidx: an index is not among the 400 points"):
+            evaluate(folder, [turned(1.0)])
+    (folder / "a.xyz").write_text("1e300 0 0\n" * 400)
+    with pytest.raises(InputError, match=r"a\.xyz: coordinates as large as 1e\+300"):
         evaluate(folder, [turned(1.0)])
     (folder / "a.xyz").unlink()
     (folder / "testset_all.txt").write_text("a\nbb\n")

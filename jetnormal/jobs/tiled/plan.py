@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import Cloud
+from jetnormal.cloud import MAX_COORDINATE, Cloud
 from jetnormal.errors import InputError
 from jetnormal.formats import CloudStream
 from jetnormal.formats.streams import ROWS
 from jetnormal.geometry.cells import Cells, cut_into_cells, halvings, in_sample
 from jetnormal.geometry.neighbors import distinct
-from jetnormal.jobs.estimate import MAX_COORDINATE
 from jetnormal.jobs.options import EstimateOptions
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.support.report import progress
