@@ -105,7 +105,7 @@ def atomic_folder(path: Path, replaceable: Collection[str] = ()) -> Iterator[Pat
         InputError: if the folder above is missing or not writable, if writing fails, or if the folder that is there
             holds anything else.
     """
-    target = path.resolve()
+    target = Path(os.path.realpath(path))  # which a loop of links does not stop
     unfinished = _unfinished(target)
     try:
         unfinished.mkdir()

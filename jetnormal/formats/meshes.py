@@ -156,7 +156,16 @@ def _write_lines(stream: BinaryIO, form: str, rows: Rows) -> None:
         stream.write((f"{form}\n" * len(part) % tuple(part.ravel().tolist())).encode())
 
 
+def _check_single_precision(mesh: Mesh, format: str) -> None:
+    largest = np.abs(mesh.vertices).max(initial=0)
+    if largest > np.finfo(np.float32).max:
+        raise InputError(
+            f"coordinates as large as {largest:.3g} do not fit the single precision of {format}; write .ply"
+        )
+
+
 def _write_stl(mesh: Mesh, stream: BinaryIO) -> list[str]:
+    _check_single_precision(mesh, "STL")
     area = mesh.area_vectors()
     length = np.linalg.norm(area, axis=1, keepdims=True)
     rows = np.zeros(len(mesh.faces), [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -184,6 +193,7 @@ def _write_glb(mesh: Mesh, stream: BinaryIO) -> list[str]:
 
     In glTF y is up. The cloud's z, which is up in most of them, becomes y here, and is z again when the file is read.
     """
+    _check_single_precision(mesh, "glTF")
     offset = gltf_offset(mesh)
     vertices = mesh.vertices if offset is None else mesh.vertices - offset
     origin = (vertices.min(axis=0) + vertices.max(axis=0)) / 2 if len(vertices) else np.zeros(3)

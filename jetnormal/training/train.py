@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,6 @@ def open_validation(data: DataOptions) -> DataSource | None:
 def _located(recipe: Recipe) -> Recipe:
     """The recipe with the whole paths of its folders, so that the run can be resumed from anywhere."""
     data = recipe.data
-    folders = tuple(str(Path(folder).resolve()) for folder in data.folders)
-    validation = data.validation and str(Path(data.validation).resolve())
+    folders = tuple(os.path.realpath(folder) for folder in data.folders)
+    validation = data.validation and os.path.realpath(data.validation)
     return dataclasses.replace(recipe, data=dataclasses.replace(data, folders=folders, validation=validation))

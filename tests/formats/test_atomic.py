@@ -168,3 +168,10 @@ def test_a_loop_of_links_is_an_input_error(tmp_path):
     (tmp_path / "b").symlink_to(tmp_path / "a")
     with pytest.raises(InputError, match="cannot be written"):
         check_target(tmp_path / "a", overwrite=True)
+
+
+def test_a_loop_of_links_is_no_place_for_a_folder(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(InputError, match="loop: cannot be written"), atomic_folder(tmp_path / "loop"):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["loop"]

@@ -93,6 +93,15 @@ def test_stl_warns_of_lost_precision(tmp_path):
     assert "single precision" in warning and "far.stl" in warning
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("suffix", [".stl", ".glb"])
+def test_what_single_precision_cannot_hold_is_refused(tmp_path, suffix):
+    mesh = Mesh(np.eye(3) * 1e40, np.array([[0, 1, 2]]))
+    with pytest.raises(InputError, match=r"as large as 1e\+40 do not fit"):
+        write_mesh(mesh, tmp_path / f"a{suffix}")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_vertex_normals_point_outward():
     mesh = tetrahedron()
     normals = mesh.vertex_normals()
