@@ -1,7 +1,7 @@
 """The methods that choose the signs of normals. Directions stay the same bit for bit.
 
-`global`, `view` and `mst` need nothing but the points; `viewpoint`, `up` and `terrain` use what is known about the
-scan; `none` leaves the signs as they are. The results of all others do not depend on the signs of the input.
+`global`, `view`, `inside` and `mst` need nothing but the points; `viewpoint`, `up` and `terrain` use what is known
+about the scan; `none` leaves the signs as they are. The results of all others do not depend on the signs of the input.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from jetnormal.geometry.neighbors import distinct, spatial_order
 from jetnormal.orientation.agreement import Surface
 from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.grazing import grazing_flips
-from jetnormal.orientation.outward import turn_outward, turn_up
+from jetnormal.orientation.outward import turn_inward, turn_outward, turn_up
 from jetnormal.orientation.single_view import Outcome, View
 from jetnormal.orientation.spanning_tree import grow_tree
 from jetnormal.orientation.visibility import looks_down
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Method = Literal["global", "view", "mst", "viewpoint", "up", "terrain", "none"]
+Method = Literal["global", "view", "mst", "viewpoint", "up", "terrain", "inside", "none"]
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,7 @@ def choose_signs(
             "viewpoint": towards `viewpoint`; where the sight line grazes the surface, neighbors count as well.
             "up": n_z > 0, for airborne scans; where n_z is 0, n_y > 0, and where that is 0 too, n_x > 0.
             "terrain": up, walls and crowns away from what is behind them.
+            "inside": towards places in the empty space inside of the hull, as for a room or a street.
             "none": as they are.
         viewpoint: for the method "viewpoint", the sensor's (x, y, z) in the frame of the points, or one for each
             point, (N, 3). A normal at a right angle to its sight line, or without one, is turned up.
@@ -152,6 +153,8 @@ def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Out
         found = grow_tree(surface)
     elif method == "terrain":
         found = turn_up(surface)
+    elif method == "inside":
+        found = turn_inward(surface)
     else:
         found = turn_outward(surface, views=method == "view")
     flips = looks_down(surface.normals)[copy_of]

@@ -16,6 +16,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +27,7 @@ from jetnormal.orientation.closed import FULL_VOTE, sum_votes, vote, weigh
 from jetnormal.orientation.dipole_field import contradicted
 from jetnormal.orientation.kernels.fields import solid_angles
 from jetnormal.orientation.parts import Parts, divide
+from jetnormal.orientation.places import Hull, drawn_evenly, principal_axes, seen_from_inside
 from jetnormal.orientation.single_view import Outcome, View, as_seen
 from jetnormal.orientation.visibility import Votes, look
 
@@ -34,6 +37,7 @@ Bools = NDArray[np.bool_]
 
 LEVEL = 0.3  # cosine to the vertical; what is steeper is a wall
 STRAY_RADII = 1.5  # neighborhood radius, over the mean of the neighbors'
+INSIDE_POINTS = 12_000  # are looked at from inside
 PLACES, SOURCES = 16, 4096  # points of a component that tell whether it is inside, and that tell it of others
 # The votes for up of a region count up to as many sure edges as lie along its side. In a smooth sheet, several times
 # that many join two regions; in the noisy crease between a wall and the ground, fewer.
@@ -69,6 +73,31 @@ def turn_up(surface: Surface) -> Outcome:
     outcome = _finished(surface, parts, _upright(votes, parts), ~parts.speck)
     surface.turn(surface.normals[:, 2] < -LEVEL)
     return outcome
+
+
+def turn_inward(surface: Surface) -> Outcome:
+    """Turn the normals of a scan that was taken from inside, as of a room or a street, to the places inside.
+
+    Places in the empty space inside of the hull (`places`) vote, as those far away do for an object. With the opposite
+    normals, the winding number of the surface is 1/2 as on a solid, so these are weighed.
+    """
+    flips, parts = divide(surface)
+    surface.turn(flips)
+    inside = sum_votes(_look_inside(surface), parts)
+    opposite = replace(inside, outward=-inside.outward)
+    belief = -weigh(surface, opposite, parts, np.zeros(len(parts.speck), dtype=np.bool_))
+    return _finished(surface, parts, belief, np.zeros(len(parts.speck), dtype=np.bool_))
+
+
+def _look_inside(surface: Surface) -> Votes:
+    """Look at a part of the points (N,), evenly dense, from places inside."""
+    rows = drawn_evenly(surface.spacing, INSIDE_POINTS)
+    points, normals = surface.points[rows], surface.normals[rows]
+    frame = principal_axes(points)
+    points, normals = points @ frame, normals @ frame
+    outward, total = np.zeros((2, len(surface.points)))
+    outward[rows], total[rows] = seen_from_inside(points, normals, Hull(points).places())
+    return Votes(outward, total, np.zeros(len(total)))
 
 
 def _finished(surface: Surface, parts: Parts, belief: Floats, is_open: Bools, view: View | None = None) -> Outcome:

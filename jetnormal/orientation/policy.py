@@ -5,10 +5,11 @@
 2. a file that knows its sensor (`sensors.file_sensors`);
 3. open surfaces that look as if a camera at the origin had taken them: towards the origin;
 4. a wide, flat, mostly level cloud is terrain (`terrain`): up;
-5. closed surfaces: outward, unless they are a furnished room (`room`): inward;
-6. open surfaces of which the origin, named by a PCD file, sees one side throughout: towards the origin;
-7. open surfaces whose borders show from where an object was seen (`single_view`): towards that side;
-8. else the best guess, with a warning.
+5. open surfaces of which the origin, named by a PCD file, sees one side throughout: towards the origin;
+6. a cloud that was rather scanned from inside, as rooms and streets are, than from outside (`inside`): inward;
+7. closed surfaces: outward;
+8. open surfaces whose borders show from where an object was seen (`single_view`): towards that side;
+9. else the best guess, with a warning.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ Floats = NDArray[np.float64]
 ONE_SIDE = 0.97  # of the open points: a surface that a sensor saw shows it one side
 ENOUGH = 1_000_000  # points; from more, "auto" takes so many to decide by
 FARTHEST = 1e150  # of a sensor, in units of the cloud's size: squares must be finite
+# Probabilities that a cloud was scanned from inside, from which on a warning says so, normals look inward, and no
+# warning is needed.
+SUSPECT, RATHER, CERTAIN = 0.3, 0.5, 0.95
 OPEN_SHARE = 0.05  # of the points; below it, they are specks beside a closed surface
 
 
@@ -64,7 +68,7 @@ class Decision:
         confidence: mean of the signs' confidence.
         guessed: whether the side of open surfaces is a guess.
         unseen: points without a finite viewpoint; their normals look up.
-        hidden: the share of the points that outside does not see, if that makes a room likely; else 0.
+        inside: the probability that the cloud was scanned from inside.
     """
 
     asked: str
@@ -74,7 +78,7 @@ class Decision:
     confidence: float = 0.0
     guessed: bool = field(default=False, repr=False)
     unseen: int = field(default=0, repr=False)
-    hidden: float = field(default=0.0, repr=False)
+    inside: float = field(default=0.0, repr=False)
 
     def facts(self) -> dict[str, Any]:
         """What a summary in JSON says."""
@@ -89,10 +93,15 @@ class Decision:
                 f"{self.open_share:.0%} of the points lie on open surfaces, which have no outside, and nothing tells "
                 "which side was seen: their normals may all look the wrong way; `viewpoint` or `orient` settles it"
             )
-        if self.hidden:
+        if self.used == "inside" and self.inside < CERTAIN:
             found.append(
-                f"{self.hidden:.0%} of the points are hidden from outside, but not from inside: if this is a room, its "
-                "normals all look the wrong way, and `viewpoint`, any place in the room, turns them"
+                f"it looks like a room or street that was scanned from inside (probability {self.inside:.0%}), and its "
+                "normals look inward: for an object, `orient=global` turns them outward"
+            )
+        elif self.inside >= SUSPECT and not self.guessed:
+            found.append(
+                f"it may be a room or street that was scanned from inside (probability {self.inside:.0%}): then its "
+                "normals all look the wrong way, and `viewpoint`, any place inside, turns them"
             )
         if self.unseen:
             found.append(f"{self.unseen} points have no finite viewpoint; their normals look up")
@@ -196,12 +205,14 @@ def orient(
 
 def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple[Orientation, Decision]:
     """Decide by the shape of the cloud alone."""
+    from jetnormal.orientation.inside import inside_probability
     from jetnormal.orientation.terrain import is_terrain
     from jetnormal.orientation.visibility import taken_from_origin
 
     orientation = choose_signs(points, normals, "view")
     is_open, view = orientation.open, orientation.view
-    mostly_open = bool(len(is_open)) and float(is_open.mean()) > OPEN_SHARE
+    open_share = float(is_open.mean()) if len(is_open) else 0.0
+    mostly_open = open_share > OPEN_SHARE
     if mostly_open and taken_from_origin(points):
         orientation = _towards_origin(points, orientation)
         reason = "its surfaces look as if a camera at the origin had taken them"
@@ -210,18 +221,40 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
     if not seen and is_terrain(points, _unit(normals)):
         orientation = choose_signs(points, normals, "terrain")
         return orientation, _decision(orientation, "auto", "terrain", "the cloud is wide, flat and mostly level")
-    if not mostly_open:
-        return _closed(points, orientation)
-    if source.viewpoint is not None and _one_sided(points, orientation):
+    if mostly_open and source.viewpoint is not None and _one_sided(points, orientation):
         orientation = _towards_origin(points, orientation)
         reason = "the file names the origin, which sees one side of its surfaces throughout"
         return orientation, _decision(orientation, "auto", "origin", reason)
-    share = f"{is_open.mean():.0%} of the points lie on open surfaces"
-    if seen:
-        return orientation, _decision(orientation, "auto", "view", f"{share}, whose borders lean away from there")
+    inside = inside_probability(points, _unit(orientation.normals), open_share)
+    if inside >= RATHER:
+        return _inward(points, normals, inside)
+    orientation = replace(orientation, confidence=_unless(inside, orientation.confidence))
+    return orientation, replace(_from_outside(orientation, mostly_open), inside=inside)
+
+
+def _inward(points: Floats, normals: NDArray[Any], inside: float) -> tuple[Orientation, Decision]:
+    """Turn a cloud that was scanned from inside, with a probability, to places there."""
+    orientation = choose_signs(points, normals, "inside")
+    orientation = replace(orientation, confidence=_unless(1 - inside, orientation.confidence))
+    reason = f"it was scanned from inside (probability {inside:.0%}); `orient=global` turns it outward"
+    return orientation, replace(_decision(orientation, "auto", "inside", reason), inside=inside)
+
+
+def _from_outside(orientation: Orientation, mostly_open: bool) -> Decision:
+    """How the signs of "view" came about."""
+    if not mostly_open:
+        return _decision(orientation, "auto", "global", "its surfaces are closed")
+    view, share = orientation.view, f"{orientation.open.mean():.0%} of the points lie on open surfaces"
+    if view is not None and view.certain:
+        return _decision(orientation, "auto", "view", f"{share}, whose borders lean away from there")
     used, reason = ("global", "up where open") if view is None else ("view", "whose borders lean a little away from it")
-    decision = _decision(orientation, "auto", used, f"a guess: {share}, {reason}")
-    return orientation, replace(decision, guessed=True)
+    return replace(_decision(orientation, "auto", used, f"a guess: {share}, {reason}"), guessed=True)
+
+
+def _unless(wrong: float, confidence: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The probability that each sign is right (N,), if all may be wrong with a probability."""
+    mixed = confidence * (1 - wrong) + (1 - confidence) * wrong
+    return np.where(confidence > 0, mixed, 0).astype(np.float32)
 
 
 def _by_part(points: Floats, normals: NDArray[Any], source: Source, copies: bool) -> tuple[Orientation, Decision]:
@@ -250,23 +283,6 @@ def _by_part(points: Floats, normals: NDArray[Any], source: Source, copies: bool
     is_open[rows[first[part]]] = told.open
     orientation = Orientation(turned, confidence, is_open, told.view)
     return orientation, replace(decision, confidence=round(float(confidence.mean()), 4))
-
-
-def _closed(points: Floats, orientation: Orientation) -> tuple[Orientation, Decision]:
-    """Decide for closed surfaces, which are turned outward, whether they are a room."""
-    from jetnormal.orientation.room import look_inside
-
-    room = look_inside(points, _unit(orientation.normals))
-    if room is None or not room.found:
-        decision = _decision(orientation, "auto", "global", "its surfaces are closed")
-        return orientation, replace(decision, hidden=room.hidden if room is not None and room.suspected else 0.0)
-    inward = np.where(orientation.open[:, None], orientation.normals, -orientation.normals)
-    orientation = replace(orientation, normals=inward.astype(orientation.normals.dtype))
-    reason = (
-        f"it is a room: places inside see {room.things_seen:.0%} of what no place outside sees, {room.hidden:.0%} of "
-        "the points, and its walls; `orient=global` turns it outward"
-    )
-    return orientation, _decision(orientation, "auto", "inside", reason)
 
 
 def _one_sided(points: Floats, orientation: Orientation) -> bool:

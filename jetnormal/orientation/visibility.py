@@ -199,9 +199,9 @@ def looks_down(normals: Floats) -> Bools:
     return np.where(z != 0, z, np.where(y != 0, y, x)) < 0
 
 
-def directions() -> Floats:
-    """Unit vectors (VIEWS, 3): half a Fibonacci lattice of the sphere, z > 0, and their opposites."""
-    half = VIEWS // 2
+def directions(count: int = VIEWS) -> Floats:
+    """Unit vectors (count, 3), an even number: half a Fibonacci lattice of the sphere, z > 0, and their opposites."""
+    half = count // 2
     i = np.arange(half)
     z = (i + 0.5) / half
     angle = i * np.pi * (3 - np.sqrt(5))

@@ -1,0 +1,258 @@
+"""Whether a cloud was scanned from inside, as rooms and streets are, or from outside, as objects are.
+
+Nothing in a wall tells from which side it was seen. What tells is the cloud as a whole:
+
+* Density: a sensor sees surface at a distance r, at an angle a to its normal, with a density that goes as cos(a) / r^2.
+  So the density tells where a sensor may have stood: inside of the cloud's convex hull or outside.
+* What lies below the faces of the hull: of an object, it can be seen from outside; in a room, walls hide it.
+* How much of the surface is level, upright and open.
+
+None of them decides alone. A logistic regression weighs them. It was fitted to simulated scans of rooms and streets,
+and to clouds of objects, many of them hollow; `benchmarks/inside.py` fits it again, and measures it on other clouds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jetnormal.geometry.neighbors import NeighborIndex, distinct
+from jetnormal.orientation.places import (
+    DISC,
+    STRAY_RADII,
+    Hull,
+    drawn_evenly,
+    principal_axes,
+    typical_spacing,
+)
+from jetnormal.orientation.visibility import PIXEL_SPACINGS, directions
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+DRAWN, KEPT, FITTED = 24_000, 4_000, 1_000  # points that are drawn, those of them that are evenly dense, of which some
+MIN_POINTS = 200
+BELOW_SPACINGS, BELOW_SIZE = 3.0, 0.02  # what lies deeper under the hull's faces lies below it
+MIN_BELOW = 20  # points, or there is nothing below
+FAR_AWAY = (1.1, 2.0, 5.0)  # distances of places outside from the middle, over that of the farthest point
+EXTREME = 0.02  # of the points, in each tail of their spacings, count as the last of the others
+LARGEST = 0.1  # of their areas count as the smallest of these
+ALONG, ACROSS = 0.97, 0.17  # cosines to a direction
+BINS, BIN_COSINE = 200, 0.95  # of directions
+NEAREST, STEEPEST = 0.05, 0.1  # distance over the hull's size, and cosine: less counts as this
+NEAREST_GIVEN = 0.03  # the same for what sensors give
+LEAST_COSINE = 0.3  # a look along the surface tells nothing
+SLACK, SLOPE_SLACK = 0.21, 0.7  # of a pixel, and as often its slope: a point so far below the topmost one is still seen
+# Of `Evidence`. The constant holds the prior probability 1/6 of a scan from inside.
+WEIGHTS = (4.99, 8.62, -2.73, 4.31, -2.98, 3.77, 4.91, 1.5)
+CONSTANT = -6.65
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What tells scans from inside and from outside apart. Shares are of the points.
+
+    Attributes:
+        slope: of the logarithm of the spacing over what the best place inside asks for; 1 if a sensor stood there.
+        beyond: how much more of the variance of that logarithm this place explains than the best one outside.
+        from_outside: the share of that variance that the best place outside explains.
+        misfit: relative error of the density as a sum of what sensors at places outside would give.
+        exposed: how much is seen from outside of what lies below the hull, over what is seen of the rest.
+        level: share that faces in the commonest direction or against it.
+        upright: share at a right angle to that direction.
+        open: share on surfaces without an outside.
+    """
+
+    slope: float
+    beyond: float
+    from_outside: float
+    misfit: float
+    exposed: float
+    level: float
+    upright: float
+    open: float
+
+    @property
+    def probability(self) -> float:
+        """That the cloud was scanned from inside."""
+        score = CONSTANT + sum(w * value for w, value in zip(WEIGHTS, astuple(self), strict=True))
+        return float(1 / (1 + np.exp(-score)))
+
+
+def inside_probability(points: Floats, normals: Floats, open_share: float) -> float:
+    """Find the probability that a cloud was scanned from inside; 0 where too few points tell.
+
+    Args: as `find_evidence`.
+    """
+    found = find_evidence(points, normals, open_share)
+    return 0.0 if found is None else found.probability
+
+
+def find_evidence(points: Floats, normals: Floats, open_share: float) -> Evidence | None:
+    """Look at a cloud from inside and outside; None if there are too few points, or all lie in a plane.
+
+    Args:
+        points: (N, 3), finite.
+        normals: (N, 3) unit vectors of any sign; 0 where there is no direction.
+        open_share: of the points that lie on surfaces without an outside (`methods.Orientation`).
+    """
+    drawn = _drawn(points, normals)
+    if drawn is None:
+        return None
+    even = drawn.taken(drawn_evenly(drawn.spacing, KEPT))
+    hull = Hull(even.points)
+    if hull.flat:
+        return None
+    size = hull.size
+    around, sights = _places_around(even.points), directions()
+    seen = np.stack([_seen_along(sight, even) for sight in sights])
+    exposure = (seen * np.abs(sights @ even.normals.T)).mean(axis=0)
+    from_inside, slope = _best_fit(drawn, hull.places(), size)
+    from_outside, _ = _best_fit(drawn, around, size)
+    below = hull.depth(even.points) > max(BELOW_SPACINGS * even.typical, BELOW_SIZE * size)
+    return Evidence(
+        slope,
+        max(from_inside - from_outside, 0.0),
+        from_outside,
+        _misfit(even, around, np.tile(seen, (len(FAR_AWAY), 1)), size),
+        _exposed(exposure, below),
+        *_level_and_upright(even.normals),
+        open_share,
+    )
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """Points (n, 3), their unit normals (n, 3), the radii (n,) of their neighborhoods, and the part (n,) of each."""
+
+    points: Floats
+    normals: Floats
+    spacing: Floats
+    part: NDArray[np.int64]
+
+    @cached_property
+    def typical(self) -> float:
+        return typical_spacing(self.points)
+
+    def taken(self, rows: NDArray[np.int64]) -> _Sample:
+        return _Sample(self.points[rows], self.normals[rows], self.spacing[rows], self.part[rows])
+
+
+def _drawn(points: Floats, normals: Floats) -> _Sample | None:
+    """Draw points with a direction, in random order, none of them strays, in a frame that turns with the cloud."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    rows = np.flatnonzero(normals.any(axis=1))
+    rows = rows[np.random.default_rng(0).permutation(len(rows))[:DRAWN]]
+    rows = rows[np.sort(distinct(points[rows])[0])]
+    if len(rows) < MIN_POINTS:
+        return None
+    points, normals = points[rows], normals[rows]
+    neighbors, distances = NeighborIndex(points).query(points, DISC + 1)
+    graph = csr_matrix((np.ones(neighbors.size), neighbors.ravel(), np.arange(len(rows) + 1) * (DISC + 1)))
+    part = connected_components(graph, directed=False)[1]
+    spacing = distances[:, -1]
+    near = spacing <= STRAY_RADII * np.quantile(spacing, 0.9)
+    points, normals, spacing, part = points[near], normals[near], spacing[near], part[near]
+    even = points[drawn_evenly(spacing, KEPT)]
+    frame = principal_axes(even)
+    return _Sample((points - np.median(even, axis=0)) @ frame, normals @ frame, spacing, part)
+
+
+def _places_around(points: Floats) -> Floats:
+    """Places outside (P, 3): in all directions, near and far."""
+    middle = points.mean(axis=0)
+    reach = np.linalg.norm(points - middle, axis=1).max()
+    return np.concatenate([middle + directions() * reach * share for share in FAR_AWAY])
+
+
+def _seen_along(sight: Floats, sample: _Sample) -> Bools:
+    """Which points (n,) someone far away in a direction (3,) sees."""
+    side = np.cross(sight, np.eye(3)[np.argmin(np.abs(sight))])
+    side /= np.linalg.norm(side)
+    pixel = PIXEL_SPACINGS * sample.typical
+    row, column = (np.floor(sample.points @ axis / pixel).astype(np.int64) for axis in (side, np.cross(sight, side)))
+    key = (row - row.min()) * (np.ptp(column) + 1) + column - column.min()
+    height, cosine = sample.points @ sight, np.abs(sample.normals @ sight)
+    top = np.full(key.max() + 1, -np.inf)
+    np.maximum.at(top, key, height)
+    steepness = np.sqrt(1 - np.minimum(cosine**2, 1)) / np.maximum(cosine, LEAST_COSINE)
+    return np.asarray((height >= top[key] - (SLACK + SLOPE_SLACK * steepness) * pixel) & (cosine > LEAST_COSINE))
+
+
+def _best_fit(sample: _Sample, places: Floats, size: float) -> tuple[float, float]:
+    """How the best of the places (P, 3) explains the logarithm of spacing in parts: share of variance, and slope."""
+    points, normals, spacing = sample.points[:KEPT], sample.normals[:KEPT], sample.spacing[:KEPT]
+    weight = np.minimum(spacing**2, np.quantile(spacing**2, 1 - LARGEST))
+    part = np.unique(sample.part[:KEPT], return_inverse=True)[1]
+    total = np.bincount(part, weight)
+
+    def centered(values: Floats) -> Floats:
+        """Values (n,) less their mean in each part: a cavity may be sampled more densely than what is around it."""
+        return values - (np.bincount(part, weight * values) / total)[part]
+
+    found = centered(np.clip(np.log(spacing), *np.quantile(np.log(spacing), [EXTREME, 1 - EXTREME])))
+    variance = max(float((weight * found**2).sum()), 1e-12)
+    best = (0.0, 0.0)
+    for place in places:
+        distance, cosine = _sight(points, normals, place)
+        asked = np.log(np.maximum(distance, NEAREST * size)) - np.log(np.maximum(cosine, STEEPEST)) / 2
+        asked = centered(asked)
+        power = max(float((weight * asked**2).sum()), 1e-300)
+        slope = max(float((weight * asked * found).sum()) / power, 0.0)
+        best = max(best, (slope**2 * power / variance, min(slope, 1.0)))
+    return best
+
+
+def _misfit(sample: _Sample, places: Floats, seen: Bools, size: float) -> float:
+    """Relative error of the density as the best sum of what sensors at places (P, 3) give of what they see (P, n)."""
+    from scipy.optimize import nnls
+
+    rows = np.arange(len(sample.points))[:: max(1, len(sample.points) // FITTED)]
+    spacing = np.clip(sample.spacing[rows], *np.quantile(sample.spacing, [EXTREME, 1 - EXTREME]))
+    spacing = spacing / np.median(sample.spacing)
+    given = np.empty((len(rows), len(places)))
+    for k, place in enumerate(places):
+        distance, cosine = _sight(sample.points[rows], sample.normals[rows], place)
+        given[:, k] = seen[k, rows] * cosine / np.maximum(distance / size, NEAREST_GIVEN) ** 2 * spacing**2
+    given = given[:, given.any(axis=0)]
+    if not given.size:
+        return 1.0
+    try:
+        return float(nnls(given, np.ones(len(rows)))[1]) / float(np.sqrt(len(rows)))
+    except RuntimeError:  # it did not converge
+        return 1.0
+
+
+def _sight(points: Floats, normals: Floats, place: Floats) -> tuple[Floats, Floats]:
+    """Distances (n,) of points from a place, and the cosines (n,) between their normals and the line of sight."""
+    sights = place - points
+    distance = np.maximum(np.sqrt(np.square(sights).sum(axis=1)), 1e-300)
+    return distance, np.abs((sights * normals).sum(axis=1)) / distance
+
+
+def _exposed(exposure: Floats, below: Bools) -> float:
+    """How much is seen of the points below the hull, over what is seen of the others; 1 if there is nothing below.
+
+    Args:
+        exposure: (n,) mean over far places of the cosine to the normal, 0 for those that do not see the point.
+        below: (n,) which points lie below the hull.
+    """
+    if below.sum() <= MIN_BELOW or below.all():
+        return 1.0
+    return float(exposure[below].mean() / max(exposure[~below].mean(), 1e-9))
+
+
+def _level_and_upright(normals: Floats) -> tuple[float, float]:
+    """The shares of unit normals (n, 3) that lie along the commonest direction, and at a right angle to it."""
+    bins = directions(BINS)[: BINS // 2]
+    axis = bins[(np.abs(normals @ bins.T) > BIN_COSINE).sum(axis=0).argmax()]
+    near = normals[np.abs(normals @ axis) > BIN_COSINE]
+    if len(near):
+        axis = np.linalg.eigh(np.einsum("ni,nj->ij", near, near))[1][:, 2]
+    cosine = np.abs(normals @ axis)
+    return float((cosine > ALONG).mean()), float((cosine < ACROSS).mean())
