@@ -27,7 +27,7 @@ from jetnormal.data.scenes.draw import SCENES, random_scene
 from jetnormal.data.scenes.layout import Scene
 from jetnormal.data.scenes.rooms import room
 from jetnormal.data.scenes.surfaces import Piece, Rng, box, frustum, joined, star, turned
-from jetnormal.data.solids.recipes import random_solid
+from jetnormal.data.solids.draw import random_solid
 from jetnormal.data.solids.starshaped import Superellipsoid
 from jetnormal.data.sources import meshes_in
 from jetnormal.estimators.factory import make_estimator

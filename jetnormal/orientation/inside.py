@@ -47,8 +47,8 @@ NEAREST_GIVEN = 0.03  # the same for what sensors give
 LEAST_COSINE = 0.3  # a look along the surface tells nothing
 SLACK, SLOPE_SLACK = 0.21, 0.7  # of a pixel, and as often its slope: a point so far below the topmost one is still seen
 # Of `Evidence`. The constant holds the prior probability 1/6 of a scan from inside.
-WEIGHTS = (4.99, 8.62, -2.73, 4.31, -2.98, 3.77, 4.91, 1.5)
-CONSTANT = -6.65
+WEIGHTS = (7.43, 7.45, -2.91, 3.35, -2.77, 4.64, 5.68, 1.54)
+CONSTANT = -7.3
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Evidence:
     Attributes:
         slope: of the logarithm of the spacing over what the best place inside asks for; 1 if a sensor stood there.
         beyond: how much more of the variance of that logarithm this place explains than the best one outside.
-        from_outside: the share of that variance that the best place outside explains.
+        from_outside: the share of that variance that the best place outside explains, or a gradient along a direction.
         misfit: relative error of the density as a sum of what sensors at places outside would give.
         exposed: how much is seen from outside of what lies below the hull, over what is seen of the rest.
         level: share that faces in the commonest direction or against it.
@@ -110,8 +110,9 @@ def find_evidence(points: Floats, normals: Floats, open_share: float) -> Evidenc
     around, sights = _places_around(even.points), directions()
     seen = np.stack([_seen_along(sight, even) for sight in sights])
     exposure = (seen * np.abs(sights @ even.normals.T)).mean(axis=0)
-    from_inside, slope = _best_fit(drawn, hull.places(), size)
-    from_outside, _ = _best_fit(drawn, around, size)
+    some = drawn.taken(np.arange(min(KEPT, len(drawn.points))))
+    from_inside, slope = _best_fit(some, hull.places(), size)
+    from_outside = max(_best_fit(some, around, size)[0], _gradient_fit(some))
     below = hull.depth(even.points) > max(BELOW_SPACINGS * even.typical, BELOW_SIZE * size)
     return Evidence(
         slope,
@@ -184,28 +185,56 @@ def _seen_along(sight: Floats, sample: _Sample) -> Bools:
     return np.asarray((height >= top[key] - (SLACK + SLOPE_SLACK * steepness) * pixel) & (cosine > LEAST_COSINE))
 
 
+@dataclass(frozen=True)
+class _Spacing:
+    """The logarithm of the spacing of points (n,), less its mean in each part, with weights.
+
+    What is compared with it is centered alike: a cavity may be sampled more densely than what is around it.
+    """
+
+    weight: Floats
+    part: NDArray[np.int64]
+    logarithm: Floats
+
+    @classmethod
+    def of(cls, sample: _Sample) -> _Spacing:
+        weight = np.minimum(sample.spacing**2, np.quantile(sample.spacing**2, 1 - LARGEST))
+        part = np.unique(sample.part, return_inverse=True)[1]
+        logarithm = np.log(sample.spacing)
+        clipped = np.clip(logarithm, *np.quantile(logarithm, [EXTREME, 1 - EXTREME]))
+        return cls(weight, part, cls(weight, part, clipped).centered(clipped))
+
+    def centered(self, values: Floats) -> Floats:
+        """Values (n,) less their mean in each part."""
+        return values - (np.bincount(self.part, self.weight * values) / np.bincount(self.part, self.weight))[self.part]
+
+    @property
+    def variance(self) -> float:
+        return max(float((self.weight * self.logarithm**2).sum()), 1e-12)
+
+
 def _best_fit(sample: _Sample, places: Floats, size: float) -> tuple[float, float]:
-    """How the best of the places (P, 3) explains the logarithm of spacing in parts: share of variance, and slope."""
-    points, normals, spacing = sample.points[:KEPT], sample.normals[:KEPT], sample.spacing[:KEPT]
-    weight = np.minimum(spacing**2, np.quantile(spacing**2, 1 - LARGEST))
-    part = np.unique(sample.part[:KEPT], return_inverse=True)[1]
-    total = np.bincount(part, weight)
-
-    def centered(values: Floats) -> Floats:
-        """Values (n,) less their mean in each part: a cavity may be sampled more densely than what is around it."""
-        return values - (np.bincount(part, weight * values) / total)[part]
-
-    found = centered(np.clip(np.log(spacing), *np.quantile(np.log(spacing), [EXTREME, 1 - EXTREME])))
-    variance = max(float((weight * found**2).sum()), 1e-12)
+    """How the best of the places (P, 3) explains the logarithm of spacing: share of its variance, and slope."""
+    spacing = _Spacing.of(sample)
     best = (0.0, 0.0)
     for place in places:
-        distance, cosine = _sight(points, normals, place)
+        distance, cosine = _sight(sample.points, sample.normals, place)
         asked = np.log(np.maximum(distance, NEAREST * size)) - np.log(np.maximum(cosine, STEEPEST)) / 2
-        asked = centered(asked)
-        power = max(float((weight * asked**2).sum()), 1e-300)
-        slope = max(float((weight * asked * found).sum()) / power, 0.0)
-        best = max(best, (slope**2 * power / variance, min(slope, 1.0)))
+        asked = spacing.centered(asked)
+        power = max(float((spacing.weight * asked**2).sum()), 1e-300)
+        slope = max(float((spacing.weight * asked * spacing.logarithm).sum()) / power, 0.0)
+        best = max(best, (slope**2 * power / spacing.variance, min(slope, 1.0)))
     return best
+
+
+def _gradient_fit(sample: _Sample) -> float:
+    """The share of the variance of the logarithm of spacing that a gradient explains."""
+    spacing = _Spacing.of(sample)
+    root = np.sqrt(spacing.weight)
+    axes = np.stack([root * spacing.centered(axis) for axis in sample.points.T], axis=1)
+    found = root * spacing.logarithm
+    rest = found - axes @ np.linalg.lstsq(axes, found, rcond=1e-9)[0]
+    return 1 - float((rest**2).sum()) / spacing.variance
 
 
 def _misfit(sample: _Sample, places: Floats, seen: Bools, size: float) -> float:

@@ -4,7 +4,7 @@
 1. a viewpoint, attributes or a trajectory that the user gives;
 2. a file that knows its sensor (`sensors.file_sensors`);
 3. open surfaces that look as if a camera at the origin had taken them: towards the origin;
-4. a wide, flat, mostly level cloud is terrain (`terrain`): up;
+4. a wide, flat, mostly level cloud is terrain (`terrain`), unless it is closed and may be a room: up;
 5. open surfaces of which the origin, named by a PCD file, sees one side throughout: towards the origin;
 6. a cloud that was rather scanned from inside, as rooms and streets are, than from outside (`inside`): inward;
 7. closed surfaces: outward;
@@ -34,7 +34,7 @@ ENOUGH = 1_000_000  # points; from more, "auto" takes so many to decide by
 FARTHEST = 1e150  # of a sensor, in units of the cloud's size: squares must be finite
 # Probabilities that a cloud was scanned from inside, from which on a warning says so, normals look inward, and no
 # warning is needed.
-SUSPECT, RATHER, CERTAIN = 0.3, 0.5, 0.95
+SUSPECT, RATHER, CERTAIN = 0.25, 0.5, 0.95
 OPEN_SHARE = 0.05  # of the points; below it, they are specks beside a closed surface
 
 
@@ -98,7 +98,7 @@ class Decision:
                 f"it looks like a room or street that was scanned from inside (probability {self.inside:.0%}), and its "
                 "normals look inward: for an object, `orient=global` turns them outward"
             )
-        elif self.inside >= SUSPECT and not self.guessed:
+        elif self.used != "inside" and self.inside >= SUSPECT and not self.guessed:
             found.append(
                 f"it may be a room or street that was scanned from inside (probability {self.inside:.0%}): then its "
                 "normals all look the wrong way, and `viewpoint`, any place inside, turns them"
@@ -218,14 +218,14 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
         reason = "its surfaces look as if a camera at the origin had taken them"
         return orientation, _decision(orientation, "auto", "origin", reason)
     seen = mostly_open and view is not None and view.certain
-    if not seen and is_terrain(points, _unit(normals)):
+    inside = inside_probability(points, _unit(orientation.normals), open_share)
+    if not seen and (mostly_open or inside < SUSPECT) and is_terrain(points, _unit(normals)):
         orientation = choose_signs(points, normals, "terrain")
         return orientation, _decision(orientation, "auto", "terrain", "the cloud is wide, flat and mostly level")
     if mostly_open and source.viewpoint is not None and _one_sided(points, orientation):
         orientation = _towards_origin(points, orientation)
         reason = "the file names the origin, which sees one side of its surfaces throughout"
         return orientation, _decision(orientation, "auto", "origin", reason)
-    inside = inside_probability(points, _unit(orientation.normals), open_share)
     if inside >= RATHER:
         return _inward(points, normals, inside)
     orientation = replace(orientation, confidence=_unless(inside, orientation.confidence))

@@ -79,8 +79,9 @@ def test_the_doubt_is_in_the_warning_and_in_the_confidence(scanned_room, monkeyp
     assert decision.used == "global" and "viewpoint" in decision.warnings()[0] and len(decision.warnings()) == 1
     assert outward.confidence.max() <= 1.01 - decision.inside
     assert oriented_accuracy(outward.normals, -normals)[0] > 0.98
-    monkeypatch.setattr(Evidence, "probability", 0.001)
-    assert not settle(points, scrambled(normals), "auto", None, Source())[1].warnings()
+    for sure in (0.001, 0.999):
+        monkeypatch.setattr(Evidence, "probability", sure)
+        assert not settle(points, scrambled(normals), "auto", None, Source())[1].warnings()
 
 
 def test_points_without_a_direction_have_no_confidence(scanned_room):
