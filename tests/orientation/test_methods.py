@@ -234,7 +234,7 @@ def test_none_returns_a_copy():
 
 def test_unusable_arguments_are_refused():
     points = np.eye(3)
-    with pytest.raises(ValueError, match="global, view, mst, viewpoint, up, terrain, none"):
+    with pytest.raises(ValueError, match="global, view, mst, viewpoint, up, terrain, inside, none"):
         orient(points, points, "down")
     with pytest.raises(ValueError, match="viewpoint"):
         orient(points, points, "viewpoint")
