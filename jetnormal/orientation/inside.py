@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex, distinct
+from jetnormal.geometry.parts import far_apart
 from jetnormal.orientation.places import (
     DISC,
     STRAY_RADII,
@@ -35,6 +36,7 @@ Bools = NDArray[np.bool_]
 
 DRAWN, KEPT, FITTED = 24_000, 4_000, 1_000  # points that are drawn, those of them that are evenly dense, of which some
 MIN_POINTS = 200
+TOGETHER = 0.25  # of the points hang together at least, as walls and floors do; many objects beside each other do not
 BELOW_SPACINGS, BELOW_SIZE = 3.0, 0.02  # what lies deeper under the hull's faces lies below it
 MIN_BELOW = 20  # points, or there is nothing below
 FAR_AWAY = (1.1, 2.0, 5.0)  # distances of places outside from the middle, over that of the farthest point
@@ -92,7 +94,7 @@ def inside_probability(points: Floats, normals: Floats, open_share: float) -> fl
 
 
 def find_evidence(points: Floats, normals: Floats, open_share: float) -> Evidence | None:
-    """Look at a cloud from inside and outside; None if there are too few points, or all lie in a plane.
+    """Look at a cloud from inside and outside; None if too few points hang together, or all lie in a plane.
 
     Args:
         points: (N, 3), finite.
@@ -150,12 +152,15 @@ def _drawn(points: Floats, normals: Floats) -> _Sample | None:
     rows = np.flatnonzero(normals.any(axis=1))
     rows = rows[np.random.default_rng(0).permutation(len(rows))[:DRAWN]]
     rows = rows[np.sort(distinct(points[rows])[0])]
-    if len(rows) < MIN_POINTS:
+    together = far_apart(points[rows])[0]
+    if len(together) < MIN_POINTS:
         return None
-    points, normals = points[rows], normals[rows]
+    points, normals = points[rows[together]], normals[rows[together]]
     neighbors, distances = NeighborIndex(points).query(points, DISC + 1)
-    graph = csr_matrix((np.ones(neighbors.size), neighbors.ravel(), np.arange(len(rows) + 1) * (DISC + 1)))
+    graph = csr_matrix((np.ones(neighbors.size), neighbors.ravel(), np.arange(len(points) + 1) * (DISC + 1)))
     part = connected_components(graph, directed=False)[1]
+    if np.bincount(part).max() < TOGETHER * len(rows):
+        return None
     spacing = distances[:, -1]
     near = spacing <= STRAY_RADII * np.quantile(spacing, 0.9)
     points, normals, spacing, part = points[near], normals[near], spacing[near], part[near]
@@ -178,8 +183,9 @@ def _seen_along(sight: Floats, sample: _Sample) -> Bools:
     pixel = PIXEL_SPACINGS * sample.typical
     row, column = (np.floor(sample.points @ axis / pixel).astype(np.int64) for axis in (side, np.cross(sight, side)))
     key = (row - row.min()) * (np.ptp(column) + 1) + column - column.min()
+    pixels, key = np.unique(key, return_inverse=True)  # of objects that lie apart, most pixels are empty
     height, cosine = sample.points @ sight, np.abs(sample.normals @ sight)
-    top = np.full(key.max() + 1, -np.inf)
+    top = np.full(len(pixels), -np.inf)
     np.maximum.at(top, key, height)
     steepness = np.sqrt(1 - np.minimum(cosine**2, 1)) / np.maximum(cosine, LEAST_COSINE)
     return np.asarray((height >= top[key] - (SLACK + SLOPE_SLACK * steepness) * pixel) & (cosine > LEAST_COSINE))

@@ -146,11 +146,17 @@ def bowl(rng):
     return joined([*parts, (rim[0][rim[0][:, 2] > 0], rim[1][rim[0][:, 2] > 0])])
 
 
+def far_boxes(rng):
+    places = rng.uniform(-1e4, 1e4, (100, 3))
+    return joined([box(rng, 20, tuple(place), tuple(place + 2)) for place in places])
+
+
 @pytest.mark.parametrize(
     "make",
     [
         shells,
         bowl,
+        far_boxes,
         lambda rng: drilled_block(rng, 3000),
         lambda rng: sphere(rng, 5000),
         lambda rng: ring(rng, 5000),
