@@ -247,7 +247,10 @@ def _from_outside(orientation: Orientation, mostly_open: bool) -> Decision:
     view, share = orientation.view, f"{orientation.open.mean():.0%} of the points lie on open surfaces"
     if view is not None and view.certain:
         return _decision(orientation, "auto", "view", f"{share}, whose borders lean away from there")
-    used, reason = ("global", "up where open") if view is None else ("view", "whose borders lean a little away from it")
+    if view is not None and view.several:
+        used, reason = "global", "seen from several sides, outward"
+    else:
+        used, reason = ("global", "up where open") if view is None else ("view", "whose borders lean a little away")
     return replace(_decision(orientation, "auto", used, f"a guess: {share}, {reason}"), guessed=True)
 
 

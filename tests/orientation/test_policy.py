@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from shapes import sphere
-from solids import box
+from solids import box, scrambled
 
 from jetnormal import Cloud, estimate, formats
 from jetnormal.cloud import Source
 from jetnormal.errors import InputError, UsageError
 from jetnormal.geometry.metrics import oriented_accuracy
+from jetnormal.geometry.vectors import unit
 from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.options import EstimateOptions
 from jetnormal.orientation import policy
@@ -180,6 +181,20 @@ def test_open_surfaces_of_which_the_stated_origin_sees_one_side_look_at_it(tilt)
 def test_without_a_word_of_the_file_surfaces_must_look_as_taken_from_the_origin(depth_picture):
     cloud = estimate(Cloud(depth_picture), model="pca")
     assert ((cloud.normals * -depth_picture).sum(axis=1) > 0).mean() > 0.99
+
+
+def test_an_object_without_a_bottom_that_was_seen_from_all_round_is_no_single_view():
+    """Three quarters of a wall under a dome: its borders lean a little, but half of it hides behind the rest."""
+    rng, full = np.random.default_rng(0), 1.5 * np.pi
+    angle = rng.uniform(0, full, 8000)
+    wall = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    dome = unit(rng.normal(size=(12_000, 3)))
+    dome = dome[(dome[:, 2] > 0) & (np.arctan2(dome[:, 1], dome[:, 0]) % (2 * np.pi) < full)]
+    points = np.concatenate([wall + rng.uniform(0, 1.5, (8000, 1)) * [0, 0, 1], dome + np.array([0, 0, 1.5])])
+    outward = np.concatenate([wall, dome])
+    orientation, decision = settle(points, scrambled(outward), "auto", None, Source())
+    assert oriented_accuracy(orientation.normals, outward)[0] > 0.99
+    assert decision.used == "global" and "several sides" in decision.reason and decision.guessed
 
 
 def test_a_trajectory_tells_where_each_point_was_seen_from(tmp_path):
