@@ -6,12 +6,16 @@ threads, seconds of SciPy / Open3D: k=17 0.060/0.070, k=61 0.170/0.173, k=257 0.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.support.device import available_cores
+
 CHUNK_ENTRIES = 2_000_000  # candidates held at a time: about 100 MB of working memory
+FEW = 1000  # queries that one thread answers sooner than several
 TIE_TOLERANCE = 1e-12  # relative; covers rounding
 COLLINEAR = 1e-12  # ratio of variances below which points count as collinear: a millionth in width
 
@@ -38,7 +42,7 @@ class NeighborIndex:
             raise ValueError("points is empty: there is nothing to search")
         # The median, unlike the mean, does not depend on the order of the points, nor on a few that are far away.
         self._center = np.median(points, axis=0)
-        self._workers = threads or -1
+        self._threads = threads or available_cores()
         from scipy.spatial import cKDTree
 
         # Cells are cut in the middle: quicker to build than at the median, and as quick to search.
@@ -89,9 +93,27 @@ class NeighborIndex:
     def _candidates(self, queries: NDArray[np.float64], count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """As many nearest points of every query, or all that there are, by ascending (distance, index)."""
         ranks = np.arange(1, min(count, len(self)) + 1)  # a list keeps the result two-dimensional
-        distances, indices = self._tree.query(queries, ranks, workers=self._workers)
+        distances, indices = self._query(queries, ranks)
         _sort_ties(indices, distances)
         return indices, distances
+
+    def _query(self, queries: NDArray[np.float64], ranks: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Ask the tree, on several threads for many queries.
+
+        The tree's own threads would go on with arrays that are gone after a Ctrl-C, and end the process by a signal.
+        """
+        if self._threads == 1 or len(queries) < FEW:
+            return self._tree.query(queries, ranks)
+        distances = np.empty((len(queries), len(ranks)))
+        indices = np.empty((len(queries), len(ranks)), dtype=np.int64)
+
+        def answer(rows: slice) -> None:
+            distances[rows], indices[rows] = self._tree.query(queries[rows], ranks)
+
+        ends = np.linspace(0, len(queries), self._threads + 1).astype(int)
+        with ThreadPoolExecutor(self._threads) as pool:
+            list(pool.map(answer, map(slice, ends[:-1], ends[1:])))
+        return distances, indices
 
 
 def _sort_ties(indices: NDArray[np.int64], distances: NDArray[np.float64]) -> None:
