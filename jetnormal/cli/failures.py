@@ -10,7 +10,7 @@ import sys
 import traceback
 from contextlib import suppress
 
-from jetnormal.errors import InputError, JetnormalError, ResourceError
+from jetnormal.errors import INTERRUPTED, InputError, JetnormalError, ResourceError
 from jetnormal.support.report import logger, print_json
 
 _OUT_OF_MEMORY = ("can't allocate memory", "not enough memory", "can't start new thread", "bad_alloc")
@@ -48,6 +48,9 @@ def report_failure(error: Exception) -> int:
         message, code = str(error), error.exit_code
     elif _is_out_of_memory(error):
         message, code = "out of memory: try a smaller `batch_size` or fewer points", ResourceError.exit_code
+    elif _was_interrupted(error):
+        report_json("interrupted", INTERRUPTED)
+        return INTERRUPTED
     elif isinstance(error, OSError) and error.filename is None:  # no file of ours, which raise errors of their own
         _silence_stdout()
         message = f"the output cannot be written ({error.strerror or error}); free some space or choose another output"
@@ -80,6 +83,13 @@ def _is_out_of_memory(error: Exception) -> bool:
     if isinstance(error, ImportError):  # of a compiled library, under a limit on memory
         return "failed to map segment" in str(error)
     return isinstance(error, RuntimeError) and any(words in str(error) for words in _OUT_OF_MEMORY)
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether a Ctrl-C came first: Python's locks raise errors of their own where it interrupts them."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _silence_stdout() -> None:

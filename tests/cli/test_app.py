@@ -177,6 +177,13 @@ def test_interrupt_exits_130_without_traceback(estimation, monkeypatch, capsys):
     assert "Traceback" not in capsys.readouterr().err
 
 
+def test_an_error_of_a_lock_that_was_interrupted_exits_130(estimation, monkeypatch, capsys):
+    estimation.result = RuntimeError("cannot release un-acquired lock")
+    estimation.result.__context__ = KeyboardInterrupt()
+    assert run(monkeypatch, "estimate", "in.ply", "-o", "out.ply") == errors.INTERRUPTED
+    assert capsys.readouterr().err == ""
+
+
 def test_an_interrupt_while_modules_are_imported_exits_130_without_traceback(tmp_path):
     """Ctrl-C in the first moments comes while the command line is imported."""
     (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
