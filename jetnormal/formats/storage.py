@@ -77,10 +77,8 @@ def _split(members: NDArray[Any], lists: NDArray[Any]) -> NDArray[Any]:
     """A column of lists like another, with these members (M,)."""
     column = np.empty(len(lists), object)
     ends = np.cumsum([np.size(row) for row in lists], dtype=np.int64)
-    for index, row in enumerate(
-        np.split(members, ends)[:-1]
-    ):  # assigned at once, lists of one length would be a matrix
-        column[index] = row
+    for index, row in enumerate(np.split(members, ends)[:-1]):
+        column[index] = row  # assigned at once, lists of one length would be a matrix
     return column
 
 

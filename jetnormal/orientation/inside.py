@@ -29,14 +29,14 @@ from jetnormal.orientation.places import (
     principal_axes,
     typical_spacing,
 )
-from jetnormal.orientation.visibility import PIXEL_SPACINGS, directions
+from jetnormal.orientation.visibility import PIXEL_SPACINGS, below_topmost, directions
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 DRAWN, KEPT, FITTED = 24_000, 4_000, 1_000  # points that are drawn, those of them that are evenly dense, of which some
 MIN_POINTS = 200
-TOGETHER = 0.25  # of the points hang together at least, as walls and floors do; many objects beside each other do not
+CONNECTED = 0.25  # of the points hang together at least, as walls and floors do; many objects beside each other do not
 BELOW_SPACINGS, BELOW_SIZE = 3.0, 0.02  # what lies deeper under the hull's faces lies below it
 MIN_BELOW = 20  # points, or there is nothing below
 FAR_AWAY = (1.1, 2.0, 5.0)  # distances of places outside from the middle, over that of the farthest point
@@ -159,7 +159,7 @@ def _drawn(points: Floats, normals: Floats) -> _Sample | None:
     neighbors, distances = NeighborIndex(points).query(points, DISC + 1)
     graph = csr_matrix((np.ones(neighbors.size), neighbors.ravel(), np.arange(len(points) + 1) * (DISC + 1)))
     part = connected_components(graph, directed=False)[1]
-    if np.bincount(part).max() < TOGETHER * len(rows):
+    if np.bincount(part).max() < CONNECTED * len(rows):
         return None
     spacing = distances[:, -1]
     near = spacing <= STRAY_RADII * np.quantile(spacing, 0.9)
@@ -178,17 +178,11 @@ def _places_around(points: Floats) -> Floats:
 
 def _seen_along(sight: Floats, sample: _Sample) -> Bools:
     """Which points (n,) someone far away in a direction (3,) sees."""
-    side = np.cross(sight, np.eye(3)[np.argmin(np.abs(sight))])
-    side /= np.linalg.norm(side)
     pixel = PIXEL_SPACINGS * sample.typical
-    row, column = (np.floor(sample.points @ axis / pixel).astype(np.int64) for axis in (side, np.cross(sight, side)))
-    key = (row - row.min()) * (np.ptp(column) + 1) + column - column.min()
-    pixels, key = np.unique(key, return_inverse=True)  # of objects that lie apart, most pixels are empty
-    height, cosine = sample.points @ sight, np.abs(sample.normals @ sight)
-    top = np.full(len(pixels), -np.inf)
-    np.maximum.at(top, key, height)
+    cosine = np.abs(sample.normals @ sight)
     steepness = np.sqrt(1 - np.minimum(cosine**2, 1)) / np.maximum(cosine, LEAST_COSINE)
-    return np.asarray((height >= top[key] - (SLACK + SLOPE_SLACK * steepness) * pixel) & (cosine > LEAST_COSINE))
+    seen = below_topmost(sample.points, sight, pixel) <= (SLACK + SLOPE_SLACK * steepness) * pixel
+    return np.asarray(seen & (cosine > LEAST_COSINE))
 
 
 @dataclass(frozen=True)

@@ -61,8 +61,10 @@ def turn_outward(surface: Surface, *, views: bool = False) -> Outcome:
     if is_open.any():
         view = as_seen(surface, parts, is_open[parts.component]) if views else None
         view = view if view is not None and (view.found or view.several) else None
-        if view is None or view.found:  # else it was seen from several sides, as an object is
-            belief = np.where(is_open[parts.owner], _upright(votes, parts) if view is None else view.belief, belief)
+        if view is None:
+            belief = np.where(is_open[parts.owner], _upright(votes, parts), belief)
+        elif view.found:  # else it was seen from several sides, and looks outward as other objects do
+            belief = np.where(is_open[parts.owner], view.belief, belief)
     return _finished(surface, parts, belief, is_open, view)
 
 

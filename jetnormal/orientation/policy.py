@@ -247,10 +247,12 @@ def _from_outside(orientation: Orientation, mostly_open: bool) -> Decision:
     view, share = orientation.view, f"{orientation.open.mean():.0%} of the points lie on open surfaces"
     if view is not None and view.certain:
         return _decision(orientation, "auto", "view", f"{share}, whose borders lean away from there")
-    if view is not None and view.several:
+    if view is None:
+        used, reason = "global", "up where open"
+    elif view.several:
         used, reason = "global", "seen from several sides, outward"
     else:
-        used, reason = ("global", "up where open") if view is None else ("view", "whose borders lean a little away")
+        used, reason = "view", "whose borders lean a little away from it"
     return replace(_decision(orientation, "auto", used, f"a guess: {share}, {reason}"), guessed=True)
 
 

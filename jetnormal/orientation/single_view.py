@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from jetnormal.orientation.agreement import Surface, chunks, relax
 from jetnormal.orientation.parts import Parts
+from jetnormal.orientation.visibility import along, below_topmost
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -37,7 +38,6 @@ LEAN = 0.1
 # In the same views, up to 0.16 of the area is hidden; 0.4 of an object without a bottom that three stations saw.
 HIDDEN = 0.2
 BEHIND = 2.0  # pixels: surface so far behind the topmost of its pixel is hidden, a slope as many times more
-FARTHEST = 1e9  # pixels from the origin, so that pixels can be counted
 PIXEL = 2.0  # side of a pixel, over the radius around the neighbors
 
 
@@ -110,15 +110,15 @@ def as_seen(surface: Surface, parts: Parts, among: Bools) -> View:
     for _ in range(ROUNDS):
         belief = _facing(surface, parts, area, axis)
         signs = np.where(belief < 0, -1.0, 1.0)[parts.region]
-        along = signs * _along(surface.normals, axis)
-        weight = signs * area * np.where(along < LEAST_COSINE, AVERTED_WEIGHT, 1)
+        cosine = signs * along(surface.normals, axis)
+        weight = signs * area * np.where(cosine < LEAST_COSINE, AVERTED_WEIGHT, 1)
         before, axis = axis, _unit((surface.normals * weight[:, None]).sum(axis=0))
         if float((axis * before).sum()) > 0.9999:
             break
     belief = _facing(surface, parts, area, axis)
-    along = np.where(belief < 0, -1.0, 1.0)[parts.region] * _along(surface.normals, axis)
+    cosine = np.where(belief < 0, -1.0, 1.0)[parts.region] * along(surface.normals, axis)
     lean, borders = _lean(surface, axis, among)
-    facing = float(area[along > 0].sum() / area.sum())
+    facing = float(area[cosine > 0].sum() / area.sum())
     return View(belief if lean >= 0 else -belief, facing, abs(lean), borders, _hidden(surface, axis, area))
 
 
@@ -132,7 +132,7 @@ def _largest_side(surface: Surface, parts: Parts, area: Floats) -> Floats:
 
 def _facing(surface: Surface, parts: Parts, area: Floats, axis: Floats, weight: float = AXIS_WEIGHT) -> Floats:
     """Signs of regions (M,), -1 to 1, with which they face an axis."""
-    return relax(parts.coupling, weight * parts.by_region(area * _along(surface.normals, axis)) / area.mean())
+    return relax(parts.coupling, weight * parts.by_region(area * along(surface.normals, axis)) / area.mean())
 
 
 def _lean(surface: Surface, axis: Floats, among: Bools) -> tuple[float, int]:
@@ -146,30 +146,19 @@ def _lean(surface: Surface, axis: Floats, among: Bools) -> tuple[float, int]:
     border = among & (length > BORDER * surface.radius)
     if not border.any():
         return 0.0, 0
-    return float((_along(inner[border], axis) / length[border]).mean()), int(border.sum())
+    return float((along(inner[border], axis) / length[border]).mean()), int(border.sum())
 
 
 def _hidden(surface: Surface, axis: Floats, area: Floats) -> float:
     """The share of the area (N,) of surface that lies behind other surface, seen along an axis from far away."""
-    side = _unit(np.cross(axis, np.eye(3)[np.abs(axis).argmin()]))
     pixel = PIXEL * float(np.median(surface.radius))
     rows = np.flatnonzero(area)
-    points, normals = surface.points[rows], surface.normals[rows]
-    place = [np.floor(_along(points, across) / pixel) for across in (side, np.cross(axis, side))]
-    row, column = np.clip(place, -FARTHEST, FARTHEST).astype(np.int64)
-    pixels, key = np.unique((row - row.min()) * (np.ptp(column) + 1) + column - column.min(), return_inverse=True)
-    height, top = _along(points, axis), np.full(len(pixels), -np.inf)
-    np.maximum.at(top, key, height)
-    cosine = np.clip(np.abs(_along(normals, axis)), LEAST_COSINE, 1)
-    behind = top[key] - height > BEHIND * pixel * (1 + np.sqrt(1 - cosine**2) / cosine)
+    cosine = np.clip(np.abs(along(surface.normals[rows], axis)), LEAST_COSINE, 1)
+    slack = BEHIND * pixel * (1 + np.sqrt(1 - cosine**2) / cosine)
+    behind = below_topmost(surface.points[rows], axis, pixel) > slack
     return float(area[rows[behind]].sum() / area.sum())
 
 
 def _unit(vector: Floats) -> Floats:
     length = float(np.linalg.norm(vector))
     return vector / length if length > 0 else np.array([0.0, 0.0, 1.0])
-
-
-def _along(vectors: Floats, direction: Floats) -> Floats:
-    """Products with a direction. BLAS would round them differently on each number of threads."""
-    return vectors[:, 0] * direction[0] + vectors[:, 1] * direction[1] + vectors[:, 2] * direction[2]

@@ -27,6 +27,7 @@ MAX_OCTAVES = 6  # of the spacing, above the median of an object; what is sparse
 LEVEL_SHARE = 0.01  # of an object's points have a level of their own; fewer are strays, which hide nothing
 SPARE_PIXELS = 1.25  # of the table, over one for each point; most pixels hold several
 FARTHEST = 2.0**40  # pixels; what is farther away is drawn there
+FARTHEST_COUNTED = 1e9  # the same where rows and columns make one number
 EXTREME_SHARE = 0.01  # of a component's points vote, in each direction
 MIN_PURITY = 0.2  # votes for outward and inward that nearly cancel mean that there is no outside
 FIELD_OF_VIEW = 0.8  # of a depth camera: the tangent of half its angle is smaller
@@ -125,6 +126,18 @@ def _axes(direction: Floats) -> Floats:
     return np.stack([side, np.cross(direction, side), direction])
 
 
+def below_topmost(points: Floats, direction: Floats, pixel: float) -> Floats:
+    """Find how far points (N, 3) lie below the topmost one of their pixel (N,), seen from far away in a direction."""
+    side, across, _ = _axes(direction)
+    place = [np.floor(along(points, axis) / pixel) for axis in (side, across)]
+    row, column = np.clip(place, -FARTHEST_COUNTED, FARTHEST_COUNTED).astype(np.int64)
+    # Of objects that lie apart, most pixels are empty.
+    pixels, key = np.unique((row - row.min()) * (np.ptp(column) + 1) + column - column.min(), return_inverse=True)
+    height, top = along(points, direction), np.full(len(pixels), -np.inf)
+    np.maximum.at(top, key, height)
+    return np.asarray(top[key] - height)
+
+
 def extremes_look_inward(surface: Surface, component: Labels, stray: Bools) -> Bools:
     """Which components (C,) have normals that look inward at the points that are farthest out; an open sheet, down.
 
@@ -145,13 +158,13 @@ def extremes_look_inward(surface: Surface, component: Labels, stray: Bools) -> B
     score, total = np.zeros((2, len(sizes)))
     points -= (points.min(axis=0) + points.max(axis=0)) / 2
     for direction in directions():
-        height = _along(points, direction)
+        height = along(points, direction)
         least = np.maximum.reduceat(height, starts)
         for c in np.flatnonzero(voters > 1):
             own = height[starts[c] : starts[c] + sizes[c]]
             least[c] = np.partition(own, -voters[c])[-voters[c]]
         extreme = np.flatnonzero(height >= least[label])
-        vote = _along(normals[extreme], direction)
+        vote = along(normals[extreme], direction)
         count = np.bincount(label[extreme])  # more than the voters where a flat face is the extreme
         score += np.bincount(label[extreme], vote) / count
         total += np.bincount(label[extreme], np.abs(vote)) / count
@@ -175,7 +188,7 @@ def taken_from_origin(points: Floats) -> bool:
     sample = points[np.random.default_rng(0).permutation(len(points))[:SAMPLE]]
     middle = sample.mean(axis=0)
     around = middle + directions() * np.linalg.norm(middle)
-    behind = around[_along(directions(), middle) > 0]
+    behind = around[along(directions(), middle) > 0]
     return _visible_share(sample, np.zeros(3)) > max(_visible_share(sample, place) for place in behind) + SEES_MORE
 
 
@@ -210,6 +223,6 @@ def directions(count: int = VIEWS) -> Floats:
     return np.concatenate([upper, -upper])
 
 
-def _along(vectors: Floats, direction: Floats) -> Floats:
+def along(vectors: Floats, direction: Floats) -> Floats:
     """Products with a direction. BLAS would round them differently on each number of threads."""
     return vectors[:, 0] * direction[0] + vectors[:, 1] * direction[1] + vectors[:, 2] * direction[2]
