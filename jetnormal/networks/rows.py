@@ -10,13 +10,15 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from jetnormal.support.device import use_one_torch_thread
+
 CHUNK = 4096  # rows
 CUDA_CHUNK = 65_536
 
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count(), initializer=torch.set_num_threads, initargs=(1,))
+    return ThreadPoolExecutor(os.cpu_count(), initializer=use_one_torch_thread)
 
 
 if hasattr(os, "register_at_fork"):

@@ -85,6 +85,18 @@ def torch_threads(threads: int | None) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+def use_one_torch_thread() -> None:
+    """Let PyTorch run on one thread in this thread, whatever number another one sets later; for the start of workers.
+
+    In each new thread, PyTorch's first operation takes over the number that was set last, by any thread. Asking for
+    the number counts as an operation, so it is asked before the number is set.
+    """
+    import torch
+
+    torch.get_num_threads()
+    torch.set_num_threads(1)
+
+
 @contextmanager
 def worker_pool(threads: int | None) -> Iterator[ThreadPoolExecutor]:
     """As many threads, or PyTorch's number for None, in each of which PyTorch itself runs on one.
@@ -94,10 +106,7 @@ def worker_pool(threads: int | None) -> Iterator[ThreadPoolExecutor]:
     import torch
 
     count = threads or _threads_before_fork or torch.get_num_threads()
-    with (
-        torch_threads(None),
-        ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,)) as pool,
-    ):
+    with torch_threads(None), ThreadPoolExecutor(count, initializer=use_one_torch_thread) as pool:
         yield pool
 
 
