@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from jetnormal.geometry.neighbors import COLLINEAR
@@ -39,8 +40,6 @@ class BallIndex:
     """
 
     def __init__(self, points: NDArray[np.float64]) -> None:
-        from scipy.spatial import cKDTree
-
         self.points = points - (points.min(axis=0) + points.max(axis=0)) / 2
         self.diagonal = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
         self._tree = cKDTree(self.points)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from jetnormal.support.device import available_cores
 
@@ -43,8 +44,6 @@ class NeighborIndex:
         # The median, unlike the mean, does not depend on the order of the points, nor on a few that are far away.
         self._center = np.median(points, axis=0)
         self._threads = threads or available_cores()
-        from scipy.spatial import cKDTree
-
         # Cells are cut in the middle: quicker to build than at the median, and as quick to search.
         self._tree = cKDTree(points - self._center, balanced_tree=False)
 
