@@ -93,12 +93,12 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
         levels: number of levels.
         threads: for the neighbor search; None for all cores.
     """
-    kept, found, moments = _even(points, threads)
+    kept, index, found, moments = _even(points, threads)
     cloud, points = points, points[kept]
     pyramid: list[Level] = []
     for number in range(levels):
         if number:
-            found = _other_neighbors(points, threads)
+            found = _other_neighbors(NeighborIndex(points, threads=threads), points)
             moments = moments_of(points, points, found[0])
         (neighbors, distances), (scale, normals, variance, centroid) = found, moments
         if pyramid:  # in a small level the same points may have been averaged twice
@@ -116,10 +116,10 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
             nearest = points[neighbors[chosen, :AVERAGED]]
             points = (points[chosen] + nearest.sum(1)) / (1 + nearest.shape[1])
     left_out = np.setdiff1d(np.arange(len(cloud)), kept, assume_unique=True)
-    return Pyramid(pyramid, kept, left_out, _neighborhood(cloud[left_out], pyramid[0], threads))
+    return Pyramid(pyramid, kept, left_out, _neighborhood(cloud[left_out], pyramid[0], index))
 
 
-def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int64], _Found, Moments]:
+def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int64], NeighborIndex, _Found, Moments]:
     """Leaves points out where samples lie in lines or nearly coincide.
 
     A point whose neighbors lie in a line must not have another of the thinned cloud among its six nearest, and
@@ -127,10 +127,11 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
     after a few of them the neighbors come from the lines beside it as well.
 
     Returns:
-        The rows of the points that are kept, ascending, their neighbors and their moments.
+        The rows of the points that are kept, ascending, their index, their neighbors and their moments.
     """
     kept = np.arange(len(points))
-    neighbors, distances = _other_neighbors(points, threads)
+    index = NeighborIndex(points, threads=threads)
+    neighbors, distances = _other_neighbors(index, points)
     moments = moments_of(points, points, neighbors)
     for _ in range(PASSES):
         scale, _, variance, _ = moments
@@ -143,13 +144,14 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
         keep = np.ones(len(kept), dtype=np.bool_)
         _leave_out(neighbors, distances, reach, order, keep)
         kept = kept[keep]
-        neighbors, distances, stale = _without(points[kept], keep, neighbors, distances, threads)
+        index = NeighborIndex(points[kept], threads=threads)
+        neighbors, distances, stale = _without(index, points[kept], keep, neighbors, distances)
         renewed = moments_of(points[kept[stale]], points[kept], neighbors[stale])
         scale, normals, variance, centroid = (values[keep] for values in moments)
         for values, new in zip((scale, normals, variance, centroid), renewed, strict=True):
             values[stale] = new
         moments = scale, normals, variance, centroid
-    return kept, (neighbors, distances), moments
+    return kept, index, (neighbors, distances), moments
 
 
 @compiled
@@ -173,42 +175,39 @@ def _leave_out(
 
 
 def _without(
+    index: NeighborIndex,
     points: NDArray[np.float64],
     keep: NDArray[np.bool_],
     neighbors: NDArray[np.int32],
     distances: NDArray[np.float64],
-    threads: int | None,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int64]]:
-    """The neighbors of the kept `points` after others were left out, and which had to be asked for again."""
+    """The neighbors of the kept `points`, of this index, after others were left out, and which were asked for again."""
     number = np.cumsum(keep, dtype=np.int32) - np.int32(1)
     neighbors, distances = neighbors[keep], distances[keep]
     stale = np.flatnonzero(~keep[neighbors].all(axis=1))
     neighbors = number[neighbors]
     if len(stale):
-        index = NeighborIndex(points, threads=threads)
         neighbors[stale], distances[stale] = _others_of(index, points, stale)
     return neighbors, distances, stale
 
 
-def _neighborhood(points: NDArray[np.float64], level: Level, threads: int | None) -> Neighborhood:
-    """Points that are not in a level, with their neighbors there."""
+def _neighborhood(points: NDArray[np.float64], level: Level, index: NeighborIndex) -> Neighborhood:
+    """Points that are not in a level, with their neighbors there; the index is of the level."""
     k = min(NEIGHBORS, len(level.positions))
     if len(points):
-        found, _ = NeighborIndex(level.positions, threads=threads).query(points, k)
+        found, _ = index.query(points, k)
         neighbors = np.pad(found.astype(np.int32), ((0, 0), (0, NEIGHBORS - k)), mode="edge")
     else:
         neighbors = np.zeros((0, NEIGHBORS), np.int32)
     return Neighborhood(points, neighbors, *moments_of(points, level.positions, neighbors))
 
 
-def _other_neighbors(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def _other_neighbors(index: NeighborIndex, points: NDArray[np.float64]) -> _Found:
     """(n, 16) nearest other points and their distances; where there are fewer, the farthest is repeated."""
-    return _others_of(NeighborIndex(points, threads=threads), points, np.arange(len(points)))
+    return _others_of(index, points, np.arange(len(points)))
 
 
-def _others_of(
-    index: NeighborIndex, points: NDArray[np.float64], rows: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def _others_of(index: NeighborIndex, points: NDArray[np.float64], rows: NDArray[np.int64]) -> _Found:
     """`_other_neighbors` of some rows of the points of an index."""
     k = min(NEIGHBORS + 1, len(points))
     found, distances = index.query(points[rows], k)
