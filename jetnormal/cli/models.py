@@ -70,14 +70,10 @@ def models(
         return
     from jetnormal.evaluation.tables import print_tables
 
-    if complexity:
-        table = _table("the paper's networks", [f"{one.name}: {one.architecture}" for one in found], found)
-    else:
-        table = _table("models", [f"{one.name}: {one.architecture}" for one in found], found)
-    print_tables([table], sys.stdout)
+    print_tables([_table("the paper's networks" if complexity else "models", found)], sys.stdout)
 
 
-def _table(title: str, names: list[str], found: list[Complexity]) -> Table:
+def _table(title: str, found: list[Complexity]) -> Table:
     """One row a network; columns that are empty in all rows are left out."""
     from jetnormal.evaluation.tables import Table
 
@@ -90,5 +86,6 @@ def _table(title: str, names: list[str], found: list[Complexity]) -> Table:
     ]
     columns = [column for column in columns if any(value is not None for value in column[2])]
     rows = [list(row) for row in zip(*(values for *_, values in columns), strict=True)]
+    names = [f"{one.name}: {one.architecture}" for one in found]
     formats: list[Callable[[float], str]] = [pattern.format for _, pattern, _ in columns]
     return Table(title, ["model", *(name for name, *_ in columns)], names, rows, formats, [True] * len(columns))

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from jetnormal.cli.failures import spell
 from jetnormal.errors import UsageError
 from jetnormal.support.options import MAX_THREADS
 from jetnormal.support.report import configure_logging
@@ -29,4 +30,4 @@ def set_verbosity(quiet: bool, verbose: bool) -> None:
     """
     if quiet and verbose:
         raise UsageError("-q and -v contradict each other: give one of them")
-    configure_logging(int(verbose) - int(quiet))
+    configure_logging(int(verbose) - int(quiet), spell)

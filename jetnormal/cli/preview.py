@@ -17,7 +17,7 @@ from jetnormal.support.report import logger, print_json
 def preview(
     input: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help=f"Cloud ({CLOUDS}) or mesh (.ply .obj .stl .off .glb .npz)."),
+        typer.Argument(metavar="FILE", help=f"Cloud ({CLOUDS}) or mesh (.ply .obj .stl .off .glb .gltf .npz)."),
     ],
     options: PreviewOptions,
     files: ReadOptions,

@@ -148,7 +148,7 @@ def pca_estimator(k: int = 30, batch_size: int | None = None, threads: int | Non
         surface_variation = patches.variance[:, 2] / patches.variance.sum(1).clamp_min(1e-30)
         return _Fit(normals, normals, 1 - 3 * surface_variation, None)
 
-    k = _checked_k(k)
+    _check_neighbors(k, 1)
     batch_size = batch_size or min(2048, 1 + BATCH_POINTS // k)
     return PatchEstimator(f"pca:k={k}", k, fit, batch_size, threads=threads, has_curvature=False)
 
@@ -165,7 +165,7 @@ def jet_estimator(
         rough = torch.tensor([0.0, 0.0, 1.0]).expand(len(patches.points), 3)
         return _Fit(jet.normal, rough, agreement(rough, jet.normal), jet.curvatures()[0])
 
-    k = _checked_k(k)
+    _check_neighbors(k, order)
     batch_size = batch_size or min(512, 1 + BATCH_POINTS // k)
     return PatchEstimator(f"jet:k={k},order={order}", k, fit, batch_size, threads=threads)
 
@@ -196,7 +196,8 @@ def network_estimator(
         before = before * torch.where((before * found.refined).sum(1, keepdim=True) < 0, -1.0, 1.0)
         return _Fit(found.refined, before, agreement(before, found.refined), curvatures)
 
-    k = _checked_k(k or network.config.neighbors)
+    k = k or network.config.neighbors
+    _check_neighbors(k, network.config.order)
     # Narrow layers need more rows to be worth a call, and leave room for them in the cache.
     batch_size = batch_size or min(MAX_BATCH, round(network.weights.batch / network.config.width**2))
     return PatchEstimator(name, k, fit, batch_size, device, threads, network.transform, min_points=NETWORK_POINTS)
@@ -209,10 +210,11 @@ def agreement(before: Tensor, after: Tensor) -> Tensor:
     return 1 - torch.atan2(sine, cosine) / (math.pi / 2)
 
 
-def _checked_k(k: int) -> int:
-    if k < 3:
-        raise UsageError(f"k must be at least 3, not {k}: fewer points span no plane")
-    return k
+def _check_neighbors(k: int, order: int) -> None:
+    """Refuse fewer neighbors than a jet has coefficients; a plane is a jet of order 1."""
+    least = len(exponents(order))
+    if k < least:
+        raise UsageError(f"k must be at least {least}, not {k}: so many points determine a jet of order {order}")
 
 
 def _order_for(points: int, order: int) -> int:

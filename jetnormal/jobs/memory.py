@@ -19,7 +19,7 @@ from jetnormal.support.report import logger
 SHARE = 0.6  # of the machine's memory
 PROGRAM = 500_000_000  # bytes: libraries, a model, buffers of pieces
 PER_POINT = 550  # bytes of a cloud whose signs are chosen together
-TOGETHER = ("global", "mst")  # methods that choose all signs together; "auto" does so for up to `ENOUGH` points
+WHOLE_CLOUD_METHODS = ("global", "mst")  # choose all signs together; "auto" does so for up to `ENOUGH` points
 HELD = 350  # bytes of any other point of a cloud in memory, most of them where each has a viewpoint of its own
 THINNED = 4_000_000  # points of the thinned cloud, at most
 LEAST_TILE = 20_000  # points
@@ -74,7 +74,7 @@ def at_once(path: Path, files: ReadOptions, limit: int, orient: str = "auto") ->
 
 def peak(points: int, orient: str = "auto") -> int:
     """Bytes that a cloud of so many points takes: of the directions or the signs, whatever is more."""
-    signs = points if orient in TOGETHER else min(points, ENOUGH)
+    signs = points if orient in WHOLE_CLOUD_METHODS else min(points, ENOUGH)
     return PROGRAM + max(points * HELD + bytes_together(points), signs * PER_POINT + (points - signs) * HELD)
 
 
@@ -116,7 +116,7 @@ def room_for_tiles(source: Path, files: ReadOptions, large: LargeOptions, orient
         if known.stream is None:
             able = " ".join(sorted(s for each in formats.all_formats() if each.stream for s in each.suffixes))
             raise InputError(f"{takes}, and {known.name} files are not read in pieces; {able} are")
-        logger.info("%s: it is computed in tiles", takes.replace("`max_memory`", "--max-memory"))
+        logger.info("%s: it is computed in tiles", takes)
     rest = limit - PROGRAM
     room = Room(core_that_fits(rest), min(THINNED, int(rest / PER_POINT)))
     if room.tile < LEAST_TILE:

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from jetnormal import formats
 from jetnormal.cloud import Cloud
-from jetnormal.errors import InputError, UsageError
+from jetnormal.errors import InputError, ResourceError, UsageError
 from jetnormal.formats import atomic
 from jetnormal.formats.meshes import MESH_SUFFIXES, read_mesh
 from jetnormal.formats.ply_header import read_header
 from jetnormal.jobs.files import check_format, read_file
+from jetnormal.jobs.memory import SHARE, machine_memory
 from jetnormal.jobs.options import PreviewOptions, ReadOptions
 from jetnormal.mesh import Mesh
 from jetnormal.rendering.light import BACKGROUNDS
@@ -25,6 +26,8 @@ from jetnormal.rendering.upright import guess_up
 from jetnormal.support.report import StageTimer
 
 SUPERSAMPLING = 2
+BYTES_PER_PIXEL = 1000  # while a view is drawn, four pixels for one
+BYTES_PER_FINISHED_PIXEL = 20  # of each view, until the picture is written
 GAP = 0.03  # between views, of the size
 ROW = 3  # pictures that stand in one row; more make a square
 
@@ -41,7 +44,7 @@ def preview_file(
     """Draw a cloud or a mesh.
 
     Args:
-        source: a cloud, or a mesh: .obj, .stl, .off, .glb, .npz, or .ply with faces.
+        source: a cloud, or a mesh: .obj, .stl, .off, .glb, .gltf, .npz, or .ply with faces.
         picture: the PNG file to write, or None.
         page: the HTML file to write, or None.
         options: how.
@@ -54,7 +57,7 @@ def preview_file(
     Raises:
         InputError: a file cannot be read or written, or there is nothing to draw.
         UsageError: neither a picture nor a page is asked for.
-        ResourceError: the picture is of a mesh, and Open3D is not there.
+        ResourceError: the picture is of a mesh, and Open3D is not there; or it is larger than memory.
     """
     if picture is None and page is None:
         raise UsageError("give `output` (a picture, .png) or `html` (a page), or both")
@@ -63,6 +66,8 @@ def preview_file(
             if target.suffix.lower() not in suffixes:
                 raise InputError(f"{target}: {target.suffix!r} is not {' or '.join(suffixes)}")
             atomic.check_target(target, overwrite)
+    if picture is not None:
+        _check_memory(options)
     check_format(files, source)
     timer = StageTimer()
     with timer.stage("read"):
@@ -92,6 +97,18 @@ def preview_file(
         "faces": len(subject.faces) if isinstance(subject, Mesh) else 0,
         "seconds": timer.seconds,
     }
+
+
+def _check_memory(options: PreviewOptions) -> None:
+    """Refuse a picture that is larger than memory, before any work is done."""
+    views = len(options.views) * len(options.colors)
+    needed = options.size**2 * (BYTES_PER_PIXEL + views * BYTES_PER_FINISHED_PIXEL)
+    limit = SHARE * machine_memory()
+    if needed > limit:
+        raise ResourceError(
+            f"`size={options.size}` would take up to {needed / 1e9:.2g} GB of memory, more than {limit / 1e9:.2g} GB; "
+            "choose a smaller one"
+        )
 
 
 def draw(scenes: list[Scene], options: PreviewOptions) -> NDArray[np.uint8]:

@@ -59,10 +59,9 @@ def read_tensors(
         only_description: whether to leave the tensors on the disk.
 
     Raises:
-        ModelError: the file is missing, damaged, or of another program.
+        ModelError: the file is missing, not readable, damaged, or of another program.
     """
-    if not path.is_file():
-        raise ModelError(f"{path}: no such model file")
+    _check_readable(path)
     try:
         with safe_open(path, framework=framework) as file:
             text = file.metadata() or {}
@@ -72,3 +71,13 @@ def read_tensors(
             return {name: file.get_tensor(name) for name in names}, dict(json.loads(text["description"]))
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise ModelError(f"{path}: damaged or not a safetensors file ({error})") from error
+
+
+def _check_readable(path: Path) -> None:
+    """Refuse a file that cannot be opened; safetensors calls all of them missing."""
+    try:
+        if not path.is_file():
+            raise ModelError(f"{path}: no such model file")
+        path.open("rb").close()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error

@@ -7,7 +7,7 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from typing import Any, Protocol
@@ -34,18 +34,30 @@ class _StderrHandler(logging.Handler):
     A full disk or a closed pipe behind it loses messages, but not the job.
     """
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.spell: Callable[[str], str] = str
+
     def emit(self, record: logging.LogRecord) -> None:
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
         with suppress(OSError):
-            sys.stderr.write(f"jetnormal: {level}{self.format(record)}\n")
+            sys.stderr.write(f"jetnormal: {level}{self.spell(self.format(record))}\n")
             sys.stderr.flush()
 
 
-def configure_logging(verbosity: int) -> None:
-    """Send the package's log to stderr: errors only (-1), information too (0), or debug messages too (1)."""
-    if not any(isinstance(handler, _StderrHandler) for handler in logger.handlers):
-        logger.addHandler(_StderrHandler())
+def configure_logging(verbosity: int, spell: Callable[[str], str] = str) -> None:
+    """Send the package's log to stderr.
+
+    Args:
+        verbosity: errors only (-1), information too (0), or debug messages too (1).
+        spell: applied to each message.
+    """
+    handler = next((each for each in logger.handlers if isinstance(each, _StderrHandler)), None)
+    if handler is None:
+        handler = _StderrHandler()
+        logger.addHandler(handler)
         logger.propagate = False
+    handler.spell = spell
     level = logging.ERROR if verbosity < 0 else logging.INFO if verbosity == 0 else logging.DEBUG
     logger.setLevel(level)
 

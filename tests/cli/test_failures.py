@@ -9,7 +9,9 @@ import pytest
 import jetnormal
 from jetnormal.cli.app import main
 from jetnormal.cli.failures import report_failure, spell
+from jetnormal.cli.options import set_verbosity
 from jetnormal.errors import ResourceError
+from jetnormal.support.report import configure_logging, logger
 
 
 @pytest.mark.parametrize(
@@ -23,6 +25,18 @@ from jetnormal.errors import ResourceError
 )
 def test_options_of_the_library_become_flags(message, spelled):
     assert spell(message) == spelled
+
+
+def test_options_in_the_log_become_flags_on_the_command_line_alone(capsys):
+    set_verbosity(quiet=False, verbose=False)
+    logger.warning("%s is kept: go on with `resume`", "scan.ply.tiles")
+    configure_logging(0)  # as a program that uses the library
+    logger.warning("go on with `resume`")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        "jetnormal: warning: scan.ply.tiles is kept: go on with --resume",
+        "jetnormal: warning: go on with `resume`",
+    ]
 
 
 def test_a_library_that_a_limit_on_memory_keeps_out_is_a_lack_of_memory(capsys):

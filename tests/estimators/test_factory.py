@@ -41,6 +41,8 @@ def model(tmp_path):
         "pca:k=many",
         "pca:q=3",
         "jet:k=-4",
+        "jet:k=5",
+        "jet:k=14,order=4",
         "pca:k=²",
         f"pca:k={'9' * 5000}",
         "cloudfit:k=9",

@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 
 from jetnormal import Cloud, formats
 from jetnormal.cli.app import app
-from jetnormal.errors import InputError, UsageError
+from jetnormal.errors import InputError, ResourceError, UsageError
 from jetnormal.formats.meshes import write_mesh
+from jetnormal.jobs import preview
 from jetnormal.jobs.options import PreviewOptions
 from jetnormal.jobs.preview import _columns, draw, in_grid, preview_file
 from jetnormal.mesh import Mesh
@@ -139,6 +140,13 @@ def test_the_command_line_writes_both(files):
     summary = json.loads(result.stdout)
     assert summary["picture"].endswith("a.png") and summary["page"].endswith("a.html")
     assert (files / "a.png").read_bytes().startswith(b"\x89PNG") and (files / "a.html").stat().st_size > 5000
+
+
+def test_a_picture_larger_than_memory_is_refused(files, monkeypatch):
+    monkeypatch.setattr(preview, "machine_memory", lambda: 8 << 30)
+    with pytest.raises(ResourceError, match=r"`size=8192` would take up to \d+ GB"):
+        preview_file(files / "cloud.ply", files / "out.png", None, PreviewOptions(size=8192, views=("front", "back")))
+    assert not (files / "out.png").exists()
 
 
 def test_a_target_is_needed(files):

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import pickle
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from safetensors.torch import load_file, save_file
 import jetnormal
 from jetnormal.errors import InputError, ModelError
 from jetnormal.networks.checkpoint import load_model, load_tensors, save_model, save_tensors
+from jetnormal.networks.model_file import read_description
 from jetnormal.networks.packaged import packaged_names, resolve
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
 
@@ -121,6 +124,15 @@ def test_missing_files_are_named(tmp_path):
     (tmp_path / "model.safetensors").touch()
     with pytest.raises(ModelError, match=r"is the folder of a run; its network is .*model\.safetensors"):
         load_model(tmp_path)
+
+
+def test_a_file_without_permission_is_not_called_damaged(saved, monkeypatch):
+    def refuse(path, mode):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)  # root may read every file
+    with pytest.raises(ModelError, match=r"model\.safetensors: cannot be read \(Permission denied\)"):
+        read_description(saved)
 
 
 @pytest.mark.parametrize("size", [0, 4, 100, -1])
