@@ -39,7 +39,7 @@ def kept_estimator(options: EstimateOptions) -> Estimator:
 
     file = model_file(options.model_name)
     stamp = None if file is None else (str(file), file.stat().st_mtime_ns, file.stat().st_size)
-    signs = {"orient": "auto", "viewpoint": None, "viewpoint_attribute": None}
+    signs = {"orient": "auto", "viewpoint": None, "viewpoint_attribute": None, "trajectory": None}
     return _kept(replace(options, confidence=False, sign_confidence=False, **signs), stamp)  # type: ignore[arg-type]
 
 
@@ -114,8 +114,8 @@ def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tupl
     from jetnormal.estimators.factory import make_estimator
 
     if count < estimator.min_points:
-        jet = make_estimator("jet", k=min(max(3, count), FEW_NEIGHBORS), **_resources(options))
-        fitted = f"jets of {jet.neighbors} neighbors were fitted instead"
+        jet = make_estimator("jet", k=FEW_NEIGHBORS, **_resources(options))
+        fitted = f"jets of {min(jet.neighbors, count)} neighbors were fitted instead"
         return jet, [f"{count} points are too few for {estimator.name}: {fitted}"]
     if count >= estimator.neighbors:
         return estimator, []

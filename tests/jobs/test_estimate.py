@@ -74,6 +74,16 @@ def test_a_small_cloud_gets_what_can_be_done_and_a_warning(tmp_path):
     assert summary["valid"] == 12 and "12 points" in summary["warnings"][0]
 
 
+@pytest.mark.parametrize("count", [3, 5, 20])
+def test_a_cloud_too_small_for_a_network_gets_jets(tmp_path, count):
+    formats.write(Cloud(sphere(count)), tmp_path / "few.xyz")
+    summary = estimate_file(tmp_path / "few.xyz", tmp_path / "out.xyz", EstimateOptions())
+    assert summary["valid"] == count
+    assert summary["warnings"][0] == (
+        f"{count} points are too few for cloudfit: jets of {min(count, 10)} neighbors were fitted instead"
+    )
+
+
 def test_a_file_keeps_all_that_it_held_and_gains_normals(tmp_path):
     rng = np.random.default_rng(1)
     attributes = {"red": rng.integers(0, 256, 500, dtype=np.uint8), "label": rng.integers(-9, 9, 500, dtype=np.int16)}

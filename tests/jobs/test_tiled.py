@@ -59,6 +59,13 @@ def test_tiles_give_what_the_whole_gives(tmp_path, name, encoding):
     assert not (tmp_path / f"tiled_{name}.tiles").exists()
 
 
+def test_a_replaced_attribute_is_told(tmp_path):
+    cloud = sphere_cloud()
+    write(Cloud(cloud.points, attributes={"confidence": np.zeros(len(cloud))}), tmp_path / "a.ply")
+    summary = in_tiles(tmp_path / "a.ply", tmp_path / "b.ply")
+    assert "attribute 'confidence' of the input is replaced" in summary["warnings"]
+
+
 def test_the_default_model_and_a_las_file(tmp_path):
     """The network sees far, so that halos matter; a viewpoint settles the signs of each tile alone."""
     pytest.importorskip("laspy")

@@ -44,7 +44,7 @@ class Merge:
 
     def write(self, stream: CloudStream, target: Path, files: FileOptions, *, overwrite: bool) -> None:
         """Read the input once more and write it with the results."""
-        self.warnings += formats.write_pieces(
+        losses = formats.write_pieces(
             self._pieces(stream),
             self._plan.points,
             self._plan.box,
@@ -53,6 +53,7 @@ class Merge:
             encoding=files.encoding,
             overwrite=overwrite,
         )
+        self.warnings += losses
 
     @property
     def confidence(self) -> float:
