@@ -6,6 +6,9 @@ line that says what is wrong, in which file, and what to do about it.
 
 from __future__ import annotations
 
+import errno
+
+_OUT_OF_MEMORY = ("can't allocate memory", "not enough memory", "can't start new thread", "bad_alloc")
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 + SIGINT, as shells count it."""
 
@@ -39,10 +42,24 @@ class ModelError(JetnormalError):
 
 
 class ResourceError(JetnormalError):
-    """Too little memory, or a device that is not there."""
+    """Too little memory, or a device or a library that is not there."""
 
     exit_code = 5
 
 
 class JetnormalWarning(UserWarning):
     """What a user of the library should know about a result; `warnings.filterwarnings` silences it by this class."""
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Tell whether an error of Python, the system or a library is about memory.
+
+    PyTorch has an error of its own for a GPU, and none for a CPU.
+    """
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return True
+    if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+        return True
+    if isinstance(error, ImportError):  # of a compiled library, under a limit on memory
+        return "failed to map segment" in str(error)
+    return isinstance(error, RuntimeError) and any(words in str(error) for words in _OUT_OF_MEMORY)

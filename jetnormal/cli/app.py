@@ -70,7 +70,7 @@ def describe(
     \b
     Exit codes:
       0 done, 1 closed pipe or an error to report, 2 wrong usage, 3 unusable file,
-      4 unusable model, 5 not enough memory or no such device, 130 interrupted
+      4 unusable model, 5 not enough memory, or no such device or library, 130 interrupted
     """
     _check_address_space()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import logging
 import os
 import re
@@ -10,10 +9,9 @@ import sys
 import traceback
 from contextlib import suppress
 
-from jetnormal.errors import INTERRUPTED, InputError, JetnormalError, ResourceError
+from jetnormal.errors import INTERRUPTED, InputError, JetnormalError, ResourceError, is_out_of_memory
 from jetnormal.support.report import logger, print_json
 
-_OUT_OF_MEMORY = ("can't allocate memory", "not enough memory", "can't start new thread", "bad_alloc")
 FLAGS = {"overwrite": "--force"}  # that are called otherwise than the option of the library
 
 
@@ -46,7 +44,7 @@ def report_failure(error: Exception) -> int:
         traceback.print_exception(error)
     if isinstance(error, JetnormalError):
         message, code = str(error), error.exit_code
-    elif _is_out_of_memory(error):
+    elif is_out_of_memory(error):
         message, code = "out of memory: try a smaller `batch_size` or fewer points", ResourceError.exit_code
     elif _was_interrupted(error):
         report_json("interrupted", INTERRUPTED)
@@ -72,17 +70,6 @@ def report_json(message: str, code: int) -> None:
     if "--json" in sys.argv[1:]:
         with suppress(OSError):
             print_json({"error": message, "code": code})
-
-
-def _is_out_of_memory(error: Exception) -> bool:
-    """PyTorch has an error of its own for a GPU, and none for a CPU."""
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
-        return True
-    if isinstance(error, OSError) and error.errno == errno.ENOMEM:
-        return True
-    if isinstance(error, ImportError):  # of a compiled library, under a limit on memory
-        return "failed to map segment" in str(error)
-    return isinstance(error, RuntimeError) and any(words in str(error) for words in _OUT_OF_MEMORY)
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

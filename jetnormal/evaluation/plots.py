@@ -11,9 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jetnormal.errors import InputError, UsageError
+from jetnormal.errors import InputError, ResourceError
 from jetnormal.formats.atomic import atomic_write
 from jetnormal.formats.pcpnet import shape_of
+from jetnormal.support.extras import advice
 from jetnormal.support.report import progress
 
 if TYPE_CHECKING:
@@ -26,11 +27,11 @@ def check_plots(folder: Path, overwrite: bool, suffix: str = "png") -> None:
     """Find out, before any long computation, whether pictures can be drawn.
 
     Raises:
-        UsageError: Matplotlib is not installed.
+        ResourceError: Matplotlib is not installed.
         InputError: there are pictures in the folder already that may not be overwritten, or it is none.
     """
     if find_spec("matplotlib") is None:
-        raise UsageError("pictures need Matplotlib: install it with pip install 'jetnormal[plots]'")
+        raise ResourceError(f"`plots` needs Matplotlib, but {advice('matplotlib')}")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is no folder; choose another one for the pictures")
     if not overwrite and any(folder.glob(f"*.{suffix}")):

@@ -63,7 +63,7 @@ def read(
     Raises:
         InputError: the file is missing, damaged, of an unknown suffix, or holds no coordinates.
         UsageError: `columns` or `decimal` do not fit the file.
-        ResourceError: it does not fit into memory.
+        ResourceError: it does not fit into memory, or the library that reads it is missing.
     """
     path = Path(path)
     known = find_format(path, format)
@@ -91,8 +91,8 @@ def _as_file(path: Path) -> Iterator[Path]:
             shutil.copyfileobj(sys.stdin.buffer, stream)
         try:
             yield copy
-        except InputError as error:
-            raise InputError(str(error).replace(str(copy), "standard input")) from error
+        except (InputError, ResourceError) as error:
+            raise type(error)(str(error).replace(str(copy), "standard input")) from error
 
 
 def open_stream(

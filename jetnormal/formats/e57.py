@@ -30,7 +30,7 @@ from jetnormal.formats.e57_tree import (
     tree_of,
 )
 from jetnormal.formats.e57_writer import write
-from jetnormal.formats.registry import Format, library, library_errors
+from jetnormal.formats.registry import Format, library_errors
 from jetnormal.formats.scans import (
     Pose,
     Scan,
@@ -40,6 +40,7 @@ from jetnormal.formats.scans import (
 )
 from jetnormal.formats.storage import COLORS
 from jetnormal.formats.streams import CloudStream
+from jetnormal.support.extras import require
 
 ENCODINGS = ("binary",)
 
@@ -51,7 +52,8 @@ def read(path: Path) -> Cloud:
     """Read an E57 file: every scan and every field. Points that the file calls invalid are left out and counted.
 
     Raises:
-        InputError: the file is no E57 file, is damaged, or pye57 is missing.
+        InputError: the file is no E57 file, or is damaged.
+        ResourceError: pye57 is missing.
     """
     with _opened(path) as (e57, image, nodes):
         scans = [_read_scan(e57, image, node, path) for node in nodes]
@@ -63,7 +65,7 @@ def stream(path: Path) -> CloudStream:
     """Open an E57 file to be read scan by scan.
 
     Raises:
-        InputError: as `read`.
+        InputError, ResourceError: as `read`.
     """
     with _opened(path) as (e57, image, nodes):
         details = _read_details(e57, image, nodes)
@@ -82,7 +84,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any, list[Any]]]:
     with path.open("rb") as stream:
         if stream.read(8) != b"ASTM-E57":
             raise InputError(f"{path}: does not begin with 'ASTM-E57'; is this an E57 file?")
-    e57 = library("pye57", "e57", path).libe57
+    e57 = require("pye57", str(path)).libe57
     with library_errors(path, "pye57"):
         image = e57.ImageFile(str(path), "r")
         try:

@@ -29,7 +29,7 @@ from jetnormal.formats.e57_tree import (
     fill_blobs,
     node_of,
 )
-from jetnormal.formats.registry import WRITE_ADVICE, library, library_errors
+from jetnormal.formats.registry import WRITE_ADVICE, library_errors
 from jetnormal.formats.scans import (
     SCAN,
     Pose,
@@ -38,6 +38,7 @@ from jetnormal.formats.scans import (
     split_scans,
 )
 from jetnormal.formats.storage import COLORS, to_storable, unpack_colors
+from jetnormal.support.extras import require
 
 _STANDARD = frozenset((*SPHERICAL, "intensity", "returnIndex", "returnCount", "timeStamp", "isColorInvalid"))
 _STANDARD |= {"isIntensityInvalid", "isTimeStampInvalid"}
@@ -52,8 +53,11 @@ def write(cloud: Cloud, stream: BinaryIO, encoding: str) -> list[str]:
 
     Returns:
         What could not be kept.
+
+    Raises:
+        ResourceError: pye57 is missing.
     """
-    e57 = library("pye57", "e57", "E57 output").libe57
+    e57 = require("pye57", "E57 output").libe57
     columns, renamed = columns_from_cloud(cloud, NORMALS, np.dtype(np.float32))
     columns = unpack_colors(columns) if cloud.source.format == "pcd" else columns
     columns, changed = to_storable(columns, _TYPES, vectors=False)

@@ -43,7 +43,8 @@ def read(path: Path) -> Cloud:
     """Read a LAS, LAZ or COPC file: every point, dimension and record.
 
     Raises:
-        InputError: the file is no LAS file, is damaged, or laspy is missing.
+        InputError: the file is no LAS file, or is damaged.
+        ResourceError: laspy or lazrs is missing.
     """
     with _opened(path) as (reader, source):
         chunks = list(_read_points(reader, _CHUNK, path))
@@ -55,7 +56,7 @@ def stream(path: Path) -> CloudStream:
     """Open a LAS, LAZ or COPC file to be read in pieces.
 
     Raises:
-        InputError: as `read`.
+        InputError, ResourceError: as `read`.
     """
 
     def pieces(rows: int) -> Iterator[Cloud]:

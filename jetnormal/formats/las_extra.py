@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jetnormal.formats.las_records import Record
-from jetnormal.formats.registry import library
+from jetnormal.support.extras import require
 
 WITHOUT_WAVES = {9: 6, 10: 8}
 """The point formats whose wave packets lazrs reads and writes wrongly (0.8.2), and the same ones without packets."""
@@ -43,8 +43,8 @@ def import_laspy(path: Path | str) -> Any:
     """Import laspy, once lazrs is found to be there, too.
 
     Raises:
-        InputError: one of them is not installed.
+        ResourceError: one of them is not installed.
     """
-    library("lazrs", "las", path)
+    require("lazrs", str(path))
     logging.getLogger("laspy").setLevel(logging.CRITICAL)  # it logs what it then raises
-    return library("laspy", "las", path)
+    return require("laspy", str(path))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from jetnormal.errors import InputError
-from jetnormal.formats.registry import library
+from jetnormal.support.extras import require
 
 LASZIP = ("laszip encoded", 22204)
 LONGEST_COMPRESSED = 8192
@@ -90,9 +90,10 @@ def check_chunks(stream: BinaryIO, header: Any, laszip: bytes, path: Path) -> No
     if chunks > size:
         raise InputError(f"{path}: declares {chunks} compressed chunks, more than its size allows; it is damaged")
     stream.seek(table)
-    record = library("lazrs", "las", path).LazVlr(laszip)
+    lazrs = require("lazrs", str(path))
+    record = lazrs.LazVlr(laszip)
     found, first = 0, start + 8
-    for count, length in library("lazrs", "las", path).read_chunk_table_only(stream, record):
+    for count, length in lazrs.read_chunk_table_only(stream, record):
         if found >= header.point_count:
             break  # an empty file has an empty chunk
         stream.seek(first)

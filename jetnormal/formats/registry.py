@@ -8,8 +8,8 @@ How to add a format: write `jetnormal/formats/NAME.py` with
 
 `read` raises `InputError` for a damaged file; `write` returns what could not be kept. Nothing else needs to be told:
 modules of this package that define `FORMATS` are found, tests/formats/test_formats.py sends clouds through every
-format, and the messages of the command line list the suffix. If a library does the work, import it by `library` within
-the functions, and make it an extra in pyproject.toml.
+format, and the messages of the command line list the suffix. If a library does the work, make it an extra in
+pyproject.toml, name that in support/extras.py, and import it by `require` from there within the functions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import BinaryIO
 
 import numpy as np
@@ -124,21 +123,6 @@ def find_format(path: Path, name: str | None = None) -> Format:
 
 
 WRITE_ADVICE = "is the disk full? Free some space, or choose another output or format"
-
-
-def library(name: str, extra: str, path: Path | str) -> ModuleType:
-    """Import a library that an extra of jetnormal installs.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise InputError(
-            f"{path}: {name} is needed for this file and cannot be imported ({error}); "
-            f"install it: pip install 'jetnormal[{extra}]'"
-        ) from error
 
 
 @contextmanager

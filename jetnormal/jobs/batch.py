@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from jetnormal import formats
-from jetnormal.errors import InputError, JetnormalError, ResourceError, UsageError
+from jetnormal.errors import InputError, JetnormalError, ResourceError, UsageError, is_out_of_memory
 from jetnormal.jobs.estimate import run_file
 from jetnormal.jobs.files import check_file
 from jetnormal.jobs.memory import room_for_tiles
@@ -157,6 +157,6 @@ def _failure(error: BaseException) -> dict[str, Any]:
     """The message about a file that failed, and the exit code of its error."""
     if isinstance(error, JetnormalError):
         return {"error": " ".join(str(error).split()), "code": error.exit_code}
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":  # PyTorch's, on a GPU
+    if is_out_of_memory(error):
         return {"error": "out of memory: try fewer `jobs` or a smaller `batch_size`", "code": ResourceError.exit_code}
     return {"error": f"{type(error).__name__}: {error}", "code": JetnormalError.exit_code}

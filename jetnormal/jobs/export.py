@@ -14,6 +14,7 @@ from jetnormal.errors import ModelError, UsageError
 from jetnormal.formats import atomic
 from jetnormal.networks.checkpoint import load_model
 from jetnormal.networks.patchfit.network import PatchFit
+from jetnormal.support.extras import require
 
 SUFFIX = ".onnx"
 OPSET = 17
@@ -48,9 +49,10 @@ def export_model(name: str, target: Path, *, overwrite: bool = False) -> dict[st
         A summary: model, output, neighbors (k), opset, bytes.
 
     Raises:
-        UsageError: the suffix is not .onnx, or the package onnx is not installed.
+        UsageError: the suffix is not .onnx.
         ModelError: there is no such model, or it is not a patch network.
         InputError: the file cannot be written.
+        ResourceError: the package onnx is not installed.
     """
     if target.suffix.lower() != SUFFIX:
         raise UsageError(f"{target}: name the file {SUFFIX}")
@@ -66,10 +68,7 @@ def export_model(name: str, target: Path, *, overwrite: bool = False) -> dict[st
 
 
 def _traced(network: PatchFit) -> bytes:
-    try:
-        import onnx  # noqa: F401 - the exporter needs it, but says so less clearly
-    except ImportError as error:
-        raise UsageError(f"ONNX files need the package onnx: pip install 'jetnormal[onnx]' ({error})") from error
+    require("onnx", "an ONNX file")  # the exporter needs it, but says so less clearly
     patches = torch.randn(TRACED, network.config.neighbors, 3, generator=torch.Generator().manual_seed(0))
     names = ["patches", "normals", "rough"]
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():

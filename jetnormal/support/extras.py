@@ -2,18 +2,49 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import ModuleType
 
 from jetnormal.errors import ResourceError
 
-_EXTRAS = {"torch": ("torch", "PyTorch"), "open3d": ("mesh", "Open3D")}
+_EXTRAS = {
+    "torch": ("torch", "PyTorch"),
+    "open3d": ("mesh", "Open3D"),
+    "laspy": ("las", "laspy"),
+    "lazrs": ("las", "lazrs"),
+    "pye57": ("e57", "pye57"),
+    "matplotlib": ("plots", "Matplotlib"),
+    "tensorboard": ("tensorboard", "TensorBoard"),
+    "onnx": ("onnx", "the package onnx"),
+    "ray": ("cluster", "Ray"),
+}
 """By library the extra of jetnormal that installs it, and what the library calls itself."""
 
 
 def advice(library: str) -> str:
     """Return what to do where a library is missing."""
     return f"it is not installed: pip install 'jetnormal[{_EXTRAS[library][0]}]'"
+
+
+def require(library: str, user: str) -> ModuleType:
+    """Import a library that an extra installs.
+
+    Args:
+        library: its name in `import`.
+        user: what needs the library, as the message calls it: a file, an option.
+
+    Raises:
+        ResourceError: it is missing, or cannot be loaded.
+    """
+    try:
+        with named_extras(user):
+            return importlib.import_module(library)
+    except ImportError as error:
+        extra, name = _EXTRAS[library]
+        found = f"{user} needs {name}, but it cannot be loaded ({error})"
+        raise ResourceError(f"{found}; install it again: pip install 'jetnormal[{extra}]'") from error
 
 
 @contextmanager

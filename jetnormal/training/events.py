@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from jetnormal.errors import UsageError
+from jetnormal.support.extras import require
 
 
 class EventLog:
@@ -14,16 +14,13 @@ class EventLog:
         folder: of the run; nothing is written to it before the first record.
 
     Raises:
-        UsageError: if TensorBoard is not installed.
+        ResourceError: TensorBoard is not installed.
     """
 
     def __init__(self, folder: Path) -> None:
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError as error:
-            raise UsageError(
-                f"TensorBoard events need the package tensorboard: pip install 'jetnormal[tensorboard]' ({error})"
-            ) from error
+        require("tensorboard", "`tensorboard`")
+        from torch.utils.tensorboard import SummaryWriter
+
         self._open = SummaryWriter
         self._folder = folder
         self._writer: SummaryWriter | None = None

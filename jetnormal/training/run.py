@@ -85,7 +85,7 @@ class Run:
         save_interval: seconds from one save to the next within an epoch.
 
     Raises:
-        UsageError: TensorBoard is asked for and not installed.
+        ResourceError: TensorBoard is asked for and not installed.
     """
 
     def __init__(

@@ -57,10 +57,11 @@ def train(
     Raises:
         InputError: the folder holds another run, or nothing to resume, or another process trains in it, or a cloud
             cannot be used.
-        UsageError: the run to resume began with other options or has more epochs already, an epoch has less than one
-            batch, or TensorBoard is asked for and not installed.
+        UsageError: the run to resume began with other options or has more epochs already, or an epoch has less than one
+            batch.
         ModelError: the loss, its gradient or the weights are no longer finite, or `initial` cannot be started from.
-        ResourceError: the device is not there, or PyTorch lacks the optimizer.
+        ResourceError: the device is not there, PyTorch lacks the optimizer, or TensorBoard is asked for and not
+            installed.
     """
     options, located = recipe.training, _located(recipe)
     config = recipe_text(located)

@@ -8,7 +8,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.image import imread
 
 from jetnormal import evaluate
-from jetnormal.errors import InputError, UsageError
+from jetnormal.errors import InputError, ResourceError
 from jetnormal.evaluation import plots
 from jetnormal.evaluation.curves import draw_good_points, draw_z_angles
 from jetnormal.evaluation.heatmaps import draw_heatmaps
@@ -126,5 +126,5 @@ def test_pictures_are_not_overwritten_unasked(tmp_path):
 
 def test_absent_matplotlib_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(plots, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"pip install 'jetnormal\[plots\]'"):
+    with pytest.raises(ResourceError, match=r"pip install 'jetnormal\[plots\]'"):
         check_plots(tmp_path, overwrite=False)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jetnormal.cloud import Cloud, Source
-from jetnormal.errors import InputError, UsageError
+from jetnormal.errors import InputError, ResourceError, UsageError
 from jetnormal.formats import all_formats, check_target, read, suffixes, write
 from jetnormal.formats.registry import CONVERSIONS
 
@@ -94,7 +94,7 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, suffix
     magic = {".las": b"LASF", ".e57": b"ASTM-E57"}[suffix]
     (tmp_path / f"a{suffix}").write_bytes(magic + bytes(500))
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(InputError, match=rf"pip install 'jetnormal\[{extra}\]'"):
+    with pytest.raises(ResourceError, match=rf"a{suffix} needs {package}, but .* pip install 'jetnormal\[{extra}\]'"):
         read(tmp_path / f"a{suffix}")
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from jetnormal.errors import ResourceError, UsageError
+from jetnormal.errors import ResourceError
 from jetnormal.jobs.options import EstimateOptions
 from jetnormal.jobs.tiled.work import run_task
+from jetnormal.support.extras import require
 
 RETRIES = 5  # of a tile whose worker was lost
 
@@ -31,8 +31,7 @@ def run_on_cluster(
         tiles: their numbers.
 
     Raises:
-        UsageError: Ray is not installed.
-        ResourceError: there is no such cluster, or a tile failed on it too often.
+        ResourceError: Ray is not installed, there is no such cluster, or a tile failed on it too often.
     """
     ray = _connected(address)
     task = ray.remote(num_cpus=options.threads or 1, max_retries=RETRIES)(run_task)
@@ -54,10 +53,7 @@ def run_on_cluster(
 
 
 def _connected(address: str) -> Any:
-    try:
-        ray = importlib.import_module("ray")
-    except ImportError as error:
-        raise UsageError(f"`cluster` needs Ray ({error}); install it: pip install 'jetnormal[cluster]'") from error
+    ray: Any = require("ray", "`cluster`")
     if not ray.is_initialized():
         try:
             ray.init(address=address, log_to_driver=False, logging_level="error")
