@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from jetnormal.errors import InputError, ShapeError
 
-MAX_COORDINATE = 1e150  # that can be computed with: squares of differences must be finite
+LARGEST_COORDINATE = 1e150  # that can be computed with: squares of differences must be finite
+AT_ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""The pose (`Source.viewpoint`) of a sensor in the origin that is not turned; files that know of no other have it."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,21 @@ class Cloud:
     def valid(self) -> NDArray[np.bool_]:
         """(N,) bool: the points whose three coordinates are finite."""
         return np.asarray(np.isfinite(self.points).all(axis=1))
+
+
+def check_coordinates(points: NDArray[np.float64], where: str = "") -> None:
+    """Refuse finite points (N, 3) that cannot be computed with.
+
+    Args:
+        points: the points.
+        where: what precedes the message, such as the name of their file.
+
+    Raises:
+        InputError: a coordinate is beyond 1e150.
+    """
+    largest = max(points.max(initial=0), -points.min(initial=0))
+    if largest > LARGEST_COORDINATE:
+        raise InputError(f"{where}coordinates as large as {largest:.3g} cannot be computed with; remove those points")
 
 
 def unmasked(values: Any) -> NDArray[Any]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import Cloud, Source
+from jetnormal.cloud import AT_ORIGIN, Cloud, Source
 from jetnormal.errors import InputError, ResourceError, UsageError
 from jetnormal.formats import atomic
 from jetnormal.formats.registry import Format, all_formats, find_format, suffixes
@@ -36,8 +36,6 @@ __all__ = [
     "write",
     "write_pieces",
 ]
-
-_IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def format_for(path: Path, name: str | None) -> str | None:
@@ -265,6 +263,6 @@ def _losses(cloud: Cloud, target: Format) -> list[str]:
     losses = list(source.extra.losses()) if hasattr(source.extra, "losses") else []
     if source.height is not None and source.height > 1:
         losses.append(f"the organization in {source.height} rows of {source.width} points is not kept")
-    if source.viewpoint not in (None, _IDENTITY) and not target.keeps_viewpoint:
+    if source.viewpoint not in (None, AT_ORIGIN) and not target.keeps_viewpoint:
         losses.append("the viewpoint is not kept")
     return losses

@@ -8,13 +8,12 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from jetnormal.cloud import Source
+from jetnormal.cloud import AT_ORIGIN, Source
 from jetnormal.errors import InputError
 from jetnormal.formats.columns import Columns, UniqueNames
 
 ENCODINGS = ("binary", "binary_compressed", "ascii")
 _TITLE = ".PCD v0.7 - Point Cloud Data file format"
-IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 TYPES = frozenset(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"))
 _FIELD_KEYS = ("FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT")
 _CLOUD_KEYS = ("VERSION", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -88,7 +87,7 @@ def _interpret(entries: dict[str, list[str]], comments: tuple[str, ...], lines: 
     width, height = declared.get("WIDTH", declared.get("POINTS", -1)), declared.get("HEIGHT", 1)
     if width < 0 or height < 0 or declared.get("POINTS", width * height) != width * height:
         raise ValueError(f"the number of points is unclear: {declared}")
-    viewpoint = tuple(float(value) for value in entries.get("VIEWPOINT", IDENTITY))
+    viewpoint = tuple(float(value) for value in entries.get("VIEWPOINT", AT_ORIGIN))
     encoding = " ".join(entries["DATA"])
     if len(viewpoint) != 7:
         raise ValueError("VIEWPOINT does not hold 7 numbers")
@@ -113,7 +112,7 @@ def header_text(source: Source, points: int, columns: Columns, encoding: str) ->
         "COUNT " + " ".join(map(str, counts)),
         f"WIDTH {width}",
         f"HEIGHT {height}",
-        "VIEWPOINT " + " ".join(repr(v).removesuffix(".0") for v in source.viewpoint or IDENTITY),
+        "VIEWPOINT " + " ".join(repr(v).removesuffix(".0") for v in source.viewpoint or AT_ORIGIN),
         f"POINTS {points}",
         f"DATA {encoding}",
     ]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import MAX_COORDINATE
+from jetnormal.cloud import check_coordinates
 from jetnormal.errors import InputError
 from jetnormal.formats import read
 from jetnormal.formats.atomic import atomic_write
@@ -131,8 +131,7 @@ def read_cloud(directory: Path, name: str) -> tuple[NDArray[np.float64], NDArray
     """
     path = file_of(directory, name, "xyz")
     points = _read_numbers(path, columns=3)
-    if (largest := np.abs(points).max()) > MAX_COORDINATE:
-        raise InputError(f"{path}: coordinates as large as {largest:.3g} cannot be computed with; remove those points")
+    check_coordinates(points, f"{path}: ")
     path = file_of(directory, name, "normals")
     normals = _read_numbers(path, columns=3)
     if len(normals) != len(points):

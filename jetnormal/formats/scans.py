@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import Cloud, Source
+from jetnormal.cloud import AT_ORIGIN, Cloud, Source
 from jetnormal.errors import InputError
 from jetnormal.formats.columns import COORDINATES, NORMALS, Columns, cloud_from_columns
 from jetnormal.formats.streams import CloudStream, memory_of
@@ -19,7 +19,6 @@ SCAN = "scan"
 """The attribute that counts the scans from 0."""
 _FEWEST_POINTS = 100  # fewer may lie in a row by chance
 _RASTER_CORRELATION = 0.99  # 0.9999 in a real scan, 0.4 in one whose rows and columns mean nothing
-_AT_ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ def cloud_from_scans(scans: Sequence[Scan], source: Source, path: Path, details:
     if any(scan.pose.translation.any() for scan in scans) or all(_is_raster(scan.columns) for scan in scans):
         source = replace(source, sensors=np.repeat([scan.pose.translation for scan in scans], lengths, axis=0))
     else:
-        source = replace(source, viewpoint=_AT_ORIGIN)
+        source = replace(source, viewpoint=AT_ORIGIN)
     return cloud_from_columns(columns, source, path)
 
 
@@ -140,7 +139,7 @@ def stream_of_scans(
                 part = scan._replace(columns={n: values[start : start + rows] for n, values in scan.columns.items()})
                 cloud = cloud_from_scans([*heads[:number], part, *heads[number + 1 :]], source, path, details)
                 places = np.tile(scan.pose.translation, (len(cloud), 1)) if knows_sensors else None
-                about = replace(cloud.source, sensors=places, viewpoint=None if knows_sensors else _AT_ORIGIN)
+                about = replace(cloud.source, sensors=places, viewpoint=None if knows_sensors else AT_ORIGIN)
                 yield replace(cloud, source=about)
         if not points:
             yield empty

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import MAX_COORDINATE, Cloud
+from jetnormal.cloud import Cloud, check_coordinates
 from jetnormal.errors import InputError
 from jetnormal.estimators.base import Estimator
 from jetnormal.jobs.files import check_file, check_format, read_file, write_file
@@ -192,30 +192,14 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
     Raises:
         InputError, UsageError: as `jetnormal.estimate`.
     """
-    from jetnormal.geometry.neighbors import distinct
     from jetnormal.orientation.policy import find_sensors, settle
 
     sensors = find_sensors(options, cloud)
     with timer.stage("clean"):
-        rows = np.flatnonzero(cloud.valid)
-        points = cloud.points[rows]
-        largest = max(points.max(initial=0), -points.min(initial=0))
-        if largest > MAX_COORDINATE:
-            raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
-        first, copies = distinct(points)
-        points = points[first]
-        index = np.min_scalar_type(-max(1, len(cloud)))  # half the memory of int64
-        chosen = rows[first].astype(index)
-        copy_of = np.full(len(cloud), -1, index)
-        copy_of[rows] = copies
-        valid = len(rows)
-        del rows, first, copies
-    if len(points) < 3:
-        raise InputError(f"{len(points)} different finite points of {len(cloud)}: a normal needs at least 3")
-    with timer.stage("estimate"), progress("estimating normals", len(points)) as advance:
-        prediction, name, warnings = predict(points, estimator, options, advance)
+        chosen, copy_of = _distinct_rows(cloud)
+    with timer.stage("estimate"), progress("estimating normals", len(chosen)) as advance:
+        prediction, name, warnings = predict(cloud.points[chosen], estimator, options, advance)
     prediction = replace(prediction, rough=prediction.normals)  # nobody asks for it any more
-    del points  # the signs take most memory: they work on a copy of their own
     with timer.stage("orient"):
         known = None if sensors is None else sensors.of(chosen)
         orientation, decision = settle(cloud.points[chosen], prediction.normals, options.orient, known, cloud.source)
@@ -232,6 +216,7 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
     if curvatures is not None:
         turned = (orientation.normals * prediction.normals).sum(axis=1) < 0
         curvatures = turned_curvatures(curvatures, turned)
+    valid = int((copy_of >= 0).sum())
     warnings += gaps(len(cloud) - valid, valid - int(np.isfinite(normals).all(axis=1).sum()))
     return Result(
         normals,
@@ -243,6 +228,26 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
         tuple(warnings),
         {stage: timer.seconds[stage] for stage in ("clean", "estimate", "orient")},
     )
+
+
+def _distinct_rows(cloud: Cloud) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The rows (M,) of a cloud's distinct finite points, and which of these each row (N,) is a copy of, -1 for none.
+
+    Raises:
+        InputError: the points are fewer than three, or have coordinates that cannot be computed with.
+    """
+    from jetnormal.geometry.neighbors import distinct
+
+    rows = np.flatnonzero(cloud.valid)
+    points = cloud.points[rows]
+    check_coordinates(points)
+    first, copies = distinct(points)
+    if len(first) < 3:
+        raise InputError(f"{len(first)} different finite points of {len(cloud)}: a normal needs at least 3")
+    index = np.min_scalar_type(-max(1, len(cloud)))  # half the memory of int64
+    copy_of = np.full(len(cloud), -1, index)
+    copy_of[rows] = copies
+    return rows[first].astype(index), copy_of
 
 
 def with_normals(cloud: Cloud, result: Result, options: EstimateOptions) -> tuple[Cloud, list[str]]:

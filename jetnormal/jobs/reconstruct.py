@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import MAX_COORDINATE, Cloud
+from jetnormal.cloud import Cloud, check_coordinates
 from jetnormal.errors import InputError
 from jetnormal.formats.meshes import check_mesh_target, gltf_offset, write_mesh
 from jetnormal.formats.ply import PlyExtra
@@ -94,22 +94,16 @@ def reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTim
         InputError, UsageError, ModelError, ResourceError: as `jetnormal.reconstruct`.
     """
     from jetnormal.formats.colors import point_colors
-    from jetnormal.geometry.neighbors import distinct
     from jetnormal.meshing import cleanup as surface
     from jetnormal.meshing.poisson import poisson
 
     require_open3d("reconstructs surfaces")  # before the normals, which take longer
     cloud, facts = _with_normals(cloud, options, timer)
     facts["warnings"] = _faces_of(cloud) + facts["warnings"]
-    points, normals = cloud.points, cloud.normals
-    assert normals is not None
-    rows = np.flatnonzero(cloud.valid & (np.nan_to_num(normals, posinf=0, neginf=0) != 0).any(axis=1))
-    rows = rows[distinct(points[rows])[0]]
-    points, normals = points[rows], normals[rows]
-    _check_extent(points)
+    rows, normals = _oriented_points(cloud)
+    points = cloud.points[rows]
     if facts["orient"] is None:
         facts["warnings"] += _doubts(points, normals)
-    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     center, size = (points.min(axis=0) + points.max(axis=0)) / 2, float(np.ptp(points, axis=0).max())
     points = (points - center) / size  # the solver has single precision
     depth = options.depth or _fitting_depth(points, options.scale, (cloud.source.height or 1) > 1)
@@ -120,13 +114,7 @@ def reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTim
         raise InputError("the points and their normals suggest no surface; are the normals consistent?")
     with timer.stage("finish"):
         mesh, is_open, trimmed = _trimmed(Mesh(vertices, faces), density, points, options.trim)
-        mesh = surface.without_specks(surface.cleaned(mesh), points, options.min_component)
-        if not len(mesh.faces):
-            raise InputError("trimming left nothing of the surface; give a smaller `trim`")
-        if options.smooth:
-            mesh = surface.smoothed(mesh, options.smooth)
-        if options.faces is not None:
-            mesh = surface.simplified(mesh, options.faces)
+        mesh = _finished(mesh, points, options)
         colors = point_colors(cloud)
         if colors is not None:
             mesh = replace(mesh, colors=surface.carried(colors[rows], points, mesh.vertices))
@@ -140,6 +128,23 @@ def reconstruct_cloud(cloud: Cloud, options: ReconstructOptions, timer: StageTim
         "watertight": surface.is_watertight(mesh),
     }
     return replace(mesh, vertices=mesh.vertices * size + center), facts
+
+
+def _oriented_points(cloud: Cloud) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The rows (M,) of a cloud's distinct points that have a normal, and their unit normals (M, 3).
+
+    Raises:
+        InputError: they suggest no surface.
+    """
+    from jetnormal.geometry.neighbors import distinct
+
+    assert cloud.normals is not None
+    directed = (np.nan_to_num(cloud.normals, posinf=0, neginf=0) != 0).any(axis=1)
+    rows = np.flatnonzero(cloud.valid & directed)
+    rows = rows[distinct(cloud.points[rows])[0]]
+    _check_extent(cloud.points[rows])
+    normals = cloud.normals[rows]
+    return rows, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _with_normals(cloud: Cloud, options: ReconstructOptions, timer: StageTimer) -> tuple[Cloud, dict[str, Any]]:
@@ -174,9 +179,7 @@ def _faces_of(cloud: Cloud) -> list[str]:
 def _check_extent(points: NDArray[np.float64]) -> None:
     if len(points) < MIN_POINTS:
         raise InputError(f"{len(points)} different points with a normal: a surface needs at least {MIN_POINTS}")
-    largest = float(np.abs(points).max())
-    if largest > MAX_COORDINATE:
-        raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
+    check_coordinates(points)
     extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if extents[1] <= FLATNESS * extents[0]:
         raise InputError("all points lie on one line: they suggest no surface")
@@ -224,3 +227,19 @@ def _trimmed(
     kept = surface.clip(mesh, density, threshold)
     before, after = (np.linalg.norm(one.area_vectors(), axis=1).sum() for one in (mesh, kept))
     return kept, is_open, float(1 - after / before)
+
+
+def _finished(mesh: Mesh, points: NDArray[np.float64], options: ReconstructOptions) -> Mesh:
+    """The mesh cleaned, without specks and, if asked for, smoothed and simplified.
+
+    Raises:
+        InputError: nothing is left of it.
+    """
+    from jetnormal.meshing import cleanup as surface
+
+    mesh = surface.without_specks(surface.cleaned(mesh), points, options.min_component)
+    if not len(mesh.faces):
+        raise InputError("trimming left nothing of the surface; give a smaller `trim`")
+    if options.smooth:
+        mesh = surface.smoothed(mesh, options.smooth)
+    return mesh if options.faces is None else surface.simplified(mesh, options.faces)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.cloud import MAX_COORDINATE, Cloud
+from jetnormal.cloud import Cloud, check_coordinates
 from jetnormal.errors import InputError
 from jetnormal.formats import CloudStream
 from jetnormal.formats.streams import ROWS
@@ -96,9 +96,7 @@ def _sample(stream: CloudStream, times: int, advance: Any) -> Floats:
     parts = []
     for cloud in stream.pieces(ROWS):
         points = cloud.points[cloud.valid]
-        largest = max(points.max(initial=0), -points.min(initial=0))
-        if largest > MAX_COORDINATE:
-            raise InputError(f"coordinates as large as {largest:.3g} cannot be computed with; remove those points")
+        check_coordinates(points)
         parts.append(points[in_sample(points, times)])
         advance(len(cloud))
     sample = np.concatenate(parts)
