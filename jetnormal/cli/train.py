@@ -11,12 +11,11 @@ from jetnormal.cli.derive import Given, with_options
 from jetnormal.cli.options import Device, Json, Quiet, Threads, Verbose, set_verbosity
 from jetnormal.errors import UsageError
 from jetnormal.support.report import logger, print_json
-from jetnormal.training.options import DataOptions, TrainOptions
+from jetnormal.training.options import EXTENDABLE, DataOptions, TrainOptions
 
 if TYPE_CHECKING:
     from jetnormal.training.recipe import Recipe
 
-EXTENDABLE = ("epochs", "validate_every")  # of a run that is resumed
 MOVABLE = ("folders", "validation")  # where the same data lie now
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from jetnormal.data.options import CLOUDS_PER_EPOCH, POINTS_PER_CLOUD
 from jetnormal.data.relief import add_relief
 from jetnormal.data.sources import (
-    CLOUDS_PER_EPOCH,
-    POINTS_PER_CLOUD,
     TRAINING_LIST,
     DataSource,
     LabeledCloud,

@@ -1,4 +1,4 @@
-"""The options of `jetnormal dataset`, each defined once. This module imports nothing heavy."""
+"""The options of `jetnormal dataset`, each defined once, and the sizes of training data. It imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from jetnormal.support.options import Option, OptionSet
 
+CLOUDS_PER_EPOCH = 24  # of a source that draws its clouds anew
+POINTS_PER_CLOUD = 100_000  # of such a cloud, at most
 Split = Literal["test", "training", "validation"]
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from jetnormal.data.corruption import Surface, scan
 from jetnormal.data.mesh_sampler import MeshSampler, load_mesh
+from jetnormal.data.options import CLOUDS_PER_EPOCH, POINTS_PER_CLOUD
 from jetnormal.data.scanners.draw import random_scan
 from jetnormal.data.scanners.scenes import SceneTarget
 from jetnormal.data.scanners.targets import MeshTarget, SolidTarget, Target
@@ -28,8 +29,6 @@ from jetnormal.formats.pcpnet import cloud_names, read_cloud
 
 TRAINING_LIST = "trainingset_whitenoise.txt"
 VALIDATION_LIST = "validationset_whitenoise.txt"
-CLOUDS_PER_EPOCH = 24
-POINTS_PER_CLOUD = 100_000
 SCANNED_SHARES = {"mesh": 0.5, "solid": 0.2, "scene": 0.3}  # of the clouds that are scanned
 CLOUDS_PER_SCENE = 16  # in a sequence of so many clouds those of scenes are of one scene, which takes a while to build
 

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.errors import ModelError
 from jetnormal.support.report import Advance
 
 NETWORK_POINTS = 64  # a smaller cloud is less than a network has ever seen: a jet does better
@@ -59,6 +60,11 @@ def scattered(parts: Iterable[tuple[NDArray[np.int64], Prediction]], count: int)
             if values is not None:
                 whole.setdefault(field.name, np.empty((count, *values.shape[1:]), values.dtype))[rows] = values
     return Prediction(whole["normals"], whole["rough"], whole["confidence"], whole.get("curvatures"))
+
+
+def no_finite_normals(model: str) -> ModelError:
+    """Return the error of a model whose weights are finite but give no normals."""
+    return ModelError(f"{model}: its weights lead to no finite normals; train it anew or choose another model")
 
 
 class Estimator(Protocol):

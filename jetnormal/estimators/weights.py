@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
-from jetnormal.errors import ModelError
+from jetnormal.estimators.base import no_finite_normals
 
 
 @contextmanager
@@ -21,7 +21,7 @@ def usable_weights(name: str) -> Iterator[None]:
     try:
         yield
     except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
-        raise _unusable(name) from error
+        raise no_finite_normals(name) from error
 
 
 def check_finite(normals: Tensor, name: str) -> None:
@@ -31,8 +31,4 @@ def check_finite(normals: Tensor, name: str) -> None:
         ModelError: there are normals, and none is finite.
     """
     if len(normals) and not bool(torch.isfinite(normals).all(dim=1).any()):
-        raise _unusable(name)
-
-
-def _unusable(name: str) -> ModelError:
-    return ModelError(f"{name}: its weights lead to no finite normals; train it anew or choose another model")
+        raise no_finite_normals(name)

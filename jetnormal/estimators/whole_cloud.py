@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.errors import ModelError
-from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction
+from jetnormal.estimators.base import NETWORK_POINTS, Axes, Prediction, no_finite_normals
 from jetnormal.estimators.blocks import in_blocks
 from jetnormal.geometry.neighbors import COLLINEAR
 from jetnormal.geometry.pyramid import NEIGHBORS, Pyramid, build_pyramid
@@ -99,9 +98,7 @@ class CloudEstimator:
         pyramid = build_pyramid(points, len(self.config.channels), self.threads)
         found = self.find(pyramid, self.threads)
         if not np.isfinite(found.normals).all(axis=1).any():
-            raise ModelError(
-                f"{self.name}: its weights lead to no finite normals; train it anew or choose another model"
-            )
+            raise no_finite_normals(self.name)
         ancestors = _ancestors(pyramid)
         curvatures = _curvatures(points, found, pyramid, ancestors, self.threads)
         sound = _spans_plane(pyramid, ancestors)

@@ -96,5 +96,5 @@ def digest(*paths: Path) -> str:
         try:
             found.update(hashlib.sha256(path.read_bytes()).digest())
         except OSError as error:
-            raise InputError(f"{path}: {error.strerror}") from error
+            raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     return found.hexdigest()

@@ -65,9 +65,7 @@ def read(
     """
     path = Path(path)
     known = find_format(path, format)
-    options: dict[str, Any] = {"columns": columns, "decimal": decimal} if known.has_columns else {}
-    if not known.has_columns and (columns is not None or decimal is not None):
-        raise UsageError(f"{path}: `columns` and `decimal` are for text files, not for {known.name}")
+    options = _layout_options(known, columns, decimal, path)
     try:
         with _as_file(path) as file:
             return known.read(file, **options)
@@ -75,6 +73,15 @@ def read(
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     except MemoryError as error:
         raise ResourceError(f"{path}: does not fit into memory; split the file or use a larger machine") from error
+
+
+def _layout_options(known: Format, columns: str | None, decimal: str | None, path: Path) -> dict[str, str | None]:
+    """The arguments of `Format.read` and `Format.stream` beside the path."""
+    if known.has_columns:
+        return {"columns": columns, "decimal": decimal}
+    if columns is not None or decimal is not None:
+        raise UsageError(f"{path}: `columns` and `decimal` are for text files, not for {known.name}")
+    return {}
 
 
 @contextmanager
@@ -110,9 +117,7 @@ def open_stream(
         able = " ".join(sorted(s for each in all_formats() if each.stream for s in each.suffixes))
         what = "a stream" if str(path) == STREAM else f"a {known.name} file"
         raise InputError(f"{path}: {what} is not read in pieces; {able} are")
-    options: dict[str, Any] = {"columns": columns, "decimal": decimal} if known.has_columns else {}
-    if not known.has_columns and (columns is not None or decimal is not None):
-        raise UsageError(f"{path}: `columns` and `decimal` are for text files, not for {known.name}")
+    options = _layout_options(known, columns, decimal, path)
     try:
         return known.stream(path, **options)
     except OSError as error:

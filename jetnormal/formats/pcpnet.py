@@ -215,7 +215,7 @@ def query_count(directory: Path, name: str, all_points: bool = False) -> int:
         with path.open("rb") as lines:
             return sum(not line.isspace() for line in lines)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
 
 
 def file_of(directory: Path, name: str, suffix: str) -> Path:
@@ -230,7 +230,7 @@ def _read_numbers(path: Path, columns: int, finite: bool = True) -> NDArray[np.f
             warnings.simplefilter("ignore")  # about a file without numbers, which is refused below
             numbers = np.loadtxt(path, dtype=np.float64, ndmin=2)
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{path}: cannot be read ({error}); check the file") from error
     if numbers.size == 0 or numbers.shape[1] != columns or (finite and not np.isfinite(numbers).all()):
         raise InputError(f"{path}: must hold {columns}{' finite' if finite else ''} numbers per row")
     return numbers

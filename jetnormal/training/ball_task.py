@@ -16,7 +16,7 @@ from jetnormal.geometry.balls import BallIndex
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.networks.nestinet import NestiNet, NestiNetConfig
 from jetnormal.networks.pcpnet import PCPNet, PCPNetConfig
-from jetnormal.training.batches import QuerySampler, labeled_points
+from jetnormal.training.batches import QuerySampler, held_out_queries
 from jetnormal.training.losses import nestinet_loss, pcpnet_loss
 from jetnormal.training.options import PatchTraining
 from jetnormal.training.trainer import HELD_OUT_EPOCH
@@ -96,9 +96,8 @@ class BallTask:
         batches = []
         for number in range(source.clouds_per_epoch):
             cloud = source.cloud(HELD_OUT_EPOCH, number, seed)
-            candidates = labeled_points(cloud) if cloud.queries is None else cloud.queries
             rng = np.random.default_rng([seed, number])
-            queries = rng.choice(candidates, min(self._options.validation_patches, len(candidates)), replace=False)
+            queries = held_out_queries(cloud, self._options.validation_patches, rng)
             index = BallIndex(cloud.points)
             for start in range(0, len(queries), VALIDATION_BATCH):
                 chosen = queries[start : start + VALIDATION_BATCH]

@@ -127,6 +127,12 @@ def labeled_points(cloud: LabeledCloud) -> NDArray[np.int64]:
     return np.arange(len(cloud.points)) if cloud.labeled is None else np.flatnonzero(cloud.labeled)
 
 
+def held_out_queries(cloud: LabeledCloud, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Draw points to validate on: those that the cloud's list names, else labeled ones; all, where there are fewer."""
+    candidates = labeled_points(cloud) if cloud.queries is None else cloud.queries
+    return rng.choice(candidates, min(count, len(candidates)), replace=False)
+
+
 def labeled_patches(cloud: LabeledCloud, index: NeighborIndex, queries: NDArray[np.int64], neighbors: int) -> Batch:
     """Return the patches around (B,) queries of a cloud, with the true normals of their points.
 

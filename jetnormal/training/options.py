@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+from jetnormal.data.options import CLOUDS_PER_EPOCH, POINTS_PER_CLOUD
 from jetnormal.networks.packaged import complete_network
 from jetnormal.support.options import Option, OptionSet
 
-CLOUDS_PER_EPOCH = 24
-POINTS_PER_CLOUD = 100_000
+EXTENDABLE = ("epochs", "validate_every")  # what a resumed run may change
 
 
 def parse_numbers(text: str) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ from jetnormal.data.sources import DataSource
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.networks.patchfit.network import PatchFit, PatchFitConfig
-from jetnormal.training.batches import Batch, PatchSampler, labeled_patches
+from jetnormal.training.batches import Batch, PatchSampler, held_out_queries, labeled_patches
 from jetnormal.training.losses import total_loss
 from jetnormal.training.options import LossWeights, PatchTraining
 from jetnormal.training.trainer import HELD_OUT_EPOCH
@@ -58,9 +58,8 @@ class PatchTask:
         batches = []
         for number in range(source.clouds_per_epoch):
             cloud = source.cloud(HELD_OUT_EPOCH, number, seed)
-            candidates = np.arange(len(cloud.points)) if cloud.queries is None else cloud.queries
             rng = np.random.default_rng([seed, number])
-            queries = rng.choice(candidates, min(self._options.validation_patches, len(candidates)), replace=False)
+            queries = held_out_queries(cloud, self._options.validation_patches, rng)
             index = NeighborIndex(cloud.points)
             batches.append(labeled_patches(cloud, index, queries, self.network.config.neighbors))
         return batches

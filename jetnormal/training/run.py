@@ -30,12 +30,12 @@ from jetnormal.networks.packaged import resolve
 from jetnormal.support.report import logger
 from jetnormal.training.events import EventLog
 from jetnormal.training.metrics import Metrics
+from jetnormal.training.options import EXTENDABLE
 
 if TYPE_CHECKING:
     from jetnormal.networks.checkpoint import Network
 
 CONFIG_NAME, METRICS_NAME = "config.toml", "metrics.csv"
-FREE = ("epochs", "validate_every")  # what a resumed run may change
 SAVE_INTERVAL = 45.0  # seconds: what a killed run loses at most
 
 
@@ -285,7 +285,7 @@ def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 def _differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """Names of the entries, at any depth, that differ; those that one version of the program lacks do not."""
     names = []
-    for key in (before.keys() & now.keys()) - set(FREE):
+    for key in (before.keys() & now.keys()) - set(EXTENDABLE):
         old, new = before[key], now[key]
         if isinstance(old, dict) and isinstance(new, dict):
             names += _differences(old, new)

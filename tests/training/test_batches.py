@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import torch
 from jetnormal.data.sources import LabeledCloud
 from jetnormal.errors import InputError
 from jetnormal.geometry.neighbors import NeighborIndex
-from jetnormal.training.batches import AHEAD, Batch, PatchSampler, labeled_patches
+from jetnormal.training.batches import AHEAD, Batch, PatchSampler, held_out_queries, labeled_patches
 
 K = 20
 
@@ -88,6 +89,16 @@ def test_the_query_comes_first_among_its_duplicates():
 def test_any_point_is_drawn_whatever_is_listed_for_evaluation():
     patches = [b.points for b in sampler(Spheres(1, 40, [3, 8]), patches_per_cloud=40).epoch(0)]
     assert len({patch.numpy().tobytes() for patch in torch.cat(patches)}) == 40
+
+
+def test_stray_points_are_not_validated_on():
+    cloud = Spheres(1, 40).cloud(0, 0, 0)
+    rng = np.random.default_rng(0)
+    scan = replace(cloud, labeled=np.arange(40) >= 30)
+    assert sorted(held_out_queries(scan, 100, rng)) == list(range(30, 40))
+    assert sorted(held_out_queries(cloud, 100, rng)) == list(range(40))
+    listed = replace(cloud, queries=np.array([3, 8]))
+    assert sorted(held_out_queries(listed, 2, rng)) == [3, 8] and len(held_out_queries(listed, 1, rng)) == 1
 
 
 def test_a_cloud_of_few_points_gives_some_of_them_again():
