@@ -77,7 +77,7 @@ def mesh_shapes(folder: Path, scans: bool) -> list[Shape]:
 
 
 def solid_shapes(count: int, scans: bool) -> list[Shape]:
-    """Procedural solids: their scans, or PCPNet's six categories."""
+    """Return a shape for each of so many procedural solids: its scans, or PCPNet's six categories."""
     names = _numbered("solid", count)
     if scans:
         return [Shape(name, len(FAMILIES), partial(_scanned, name, _solid_target)) for name in names]
@@ -95,7 +95,7 @@ def scene_mesh_shapes(folder: Path) -> list[Shape]:
 
 
 def procedural_scene_shapes(count: int, scans: bool) -> list[Shape]:
-    """Rooms, streets and terrain in turn: a scan by each of their scanners, or sampled points."""
+    """Return rooms, streets and terrain in turn: a scan by each of their scanners, or sampled points."""
     shapes = []
     for number, name in enumerate(_numbered("", count)):
         kind = list(SCENES)[number % len(SCENES)]

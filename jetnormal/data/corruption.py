@@ -50,9 +50,9 @@ def scan(
     """Draw points from a surface and corrupt them as a scanner would.
 
     Args:
-        surface: Where the points come from.
-        largest: Largest number of points; at least half as many are drawn, before holes are cut.
-        rng: Source of randomness.
+        surface: where the points come from.
+        largest: largest number of points; at least half as many are drawn, before holes are cut.
+        rng: source of randomness.
 
     Returns:
         Points (N, 3), the normals (N, 3) of the clean surface below them, and the kind of corruption, a key
@@ -97,9 +97,9 @@ def add_noise(
 
     Args:
         points: (N, 3) float64.
-        sigma_fraction: Standard deviation of the displacement as a fraction of the bounding box's diagonal.
-        rng: Source of randomness.
-        kind: Distribution of the displacement; both kinds have the same standard deviation.
+        sigma_fraction: standard deviation of the displacement as a fraction of the bounding box's diagonal.
+        rng: source of randomness.
+        kind: distribution of the displacement; both kinds have the same standard deviation.
 
     Returns:
         (N, 3) float64, a new array.
@@ -119,8 +119,8 @@ def thin(
     Args:
         points: (N, 3) float64, of even density. The pattern is pronounced when N is a few times `count`.
         kind: "gradient" falls linearly to a hundredth; "striped" thins every other tenth to a twentieth.
-        count: Number of points to keep, at most N.
-        rng: Source of randomness.
+        count: number of points to keep, at most N.
+        rng: source of randomness.
     """
     axis = points[:, rng.integers(3)]
     position = (axis - axis.min()) / max(np.ptp(axis), np.finfo(float).tiny)

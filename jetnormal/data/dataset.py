@@ -58,11 +58,11 @@ class Mixture:
         """Plan the turns of an epoch.
 
         Args:
-            sources: At least one.
-            weights: One positive number per source; by default the sources' `clouds_per_epoch`.
+            sources: at least one.
+            weights: one positive number per source; by default the sources' `clouds_per_epoch`.
 
         Raises:
-            UsageError: There are no sources, the weights do not fit them, or one is too small for a turn.
+            UsageError: there are no sources, the weights do not fit them, or one is too small for a turn.
         """
         self._sources = list(sources)
         lengths = np.array([source.clouds_per_epoch for source in sources])
@@ -109,20 +109,20 @@ def open_dataset(
     Any other folder must hold meshes.
 
     Args:
-        paths: Folders.
-        synthetic: Adds random procedural solids.
-        scans: Adds scans by virtual scanners, of the meshes in the folders and of procedural solids.
-        list_file: Name of the list in the PCPNet folders.
-        default_list: Name of the list where `list_file` is None.
-        weights: Share of each source in the mixture, in the order of `paths`, then the solids, then the scans; by
+        paths: folders.
+        synthetic: adds random procedural solids.
+        scans: adds scans by virtual scanners, of the meshes in the folders and of procedural solids.
+        list_file: name of the list in the PCPNet folders.
+        default_list: name of the list where `list_file` is None.
+        weights: share of each source in the mixture, in the order of `paths`, then the solids, then the scans; by
             default as many clouds as it has per epoch.
-        clouds_per_epoch: Clouds that a folder of meshes, the solids, and the scans give per epoch.
-        points: Largest number of points of a cloud drawn from a mesh or a solid.
-        relief: Share of the clouds of meshes, solids and scans that get a fine relief.
+        clouds_per_epoch: clouds that a folder of meshes, the solids, and the scans give per epoch.
+        points: largest number of points of a cloud drawn from a mesh or a solid.
+        relief: share of the clouds of meshes, solids and scans that get a fine relief.
 
     Raises:
-        InputError: A folder is missing or holds neither, or its list does not fit it.
-        UsageError: There is no source at all, or the weights do not fit them.
+        InputError: a folder is missing or holds neither, or its list does not fit it.
+        UsageError: there is no source at all, or the weights do not fit them.
     """
     if not paths and not synthetic and not scans:
         raise UsageError("there is no training data: give a folder or ask for synthetic solids")

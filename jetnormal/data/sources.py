@@ -38,7 +38,7 @@ class LabeledCloud:
     """Points with their true normals.
 
     Attributes:
-        name: Where the cloud comes from, for messages.
+        name: where the cloud comes from, for messages.
         points: (N, 3) float64.
         normals: (N, 3) float64, outward unit normals of the clean surface.
         queries: (Q,) int64 indices of the points to evaluate; None means all.
@@ -79,11 +79,11 @@ class PcpnetFolder:
         """Find the clouds; each is read when it is first asked for and kept.
 
         Args:
-            directory: The folder. It is only read.
-            list_file: Name of the list in the folder, one NAME per line; None takes all clouds with normals.
+            directory: the folder. It is only read.
+            list_file: name of the list in the folder, one NAME per line; None takes all clouds with normals.
 
         Raises:
-            InputError: The list or a cloud that it names is missing, or there are no clouds.
+            InputError: the list or a cloud that it names is missing, or there are no clouds.
         """
         self._directory = Path(directory)
         self._augment = list_file is None
@@ -98,7 +98,7 @@ class PcpnetFolder:
         """See `DataSource.cloud`.
 
         Raises:
-            InputError: A file of the cloud is unreadable or does not match the others.
+            InputError: a file of the cloud is unreadable or does not match the others.
         """
         cloud = self._load(self.names[index])
         if not self._augment:
@@ -119,7 +119,7 @@ class MeshFolder:
         """Find the meshes; the 64 used last are kept in memory.
 
         Raises:
-            InputError: There is no mesh in the folder.
+            InputError: there is no mesh in the folder.
         """
         self.directory = Path(directory)
         self.paths = meshes_in(self.directory)
@@ -133,7 +133,7 @@ class MeshFolder:
         """See `DataSource.cloud`.
 
         Raises:
-            InputError: The mesh cannot be used.
+            InputError: the mesh cannot be used.
         """
         path = _toured(self.paths, epoch * self.clouds_per_epoch + index, seed)
         rng = np.random.default_rng([seed, epoch, index])
@@ -165,12 +165,12 @@ class ScannedSurfaces:
         """Find the meshes; the 64 used last are kept in memory.
 
         Args:
-            directories: Folders of meshes. Without any all clouds are of procedural solids and scenes.
-            clouds_per_epoch: Clouds drawn in an epoch.
-            points: Largest number of points of a cloud.
+            directories: folders of meshes. Without any all clouds are of procedural solids and scenes.
+            clouds_per_epoch: clouds drawn in an epoch.
+            points: largest number of points of a cloud.
 
         Raises:
-            InputError: There is no mesh in a folder.
+            InputError: there is no mesh in a folder.
         """
         for directory in directories:
             if not meshes_in(Path(directory)):
@@ -185,7 +185,7 @@ class ScannedSurfaces:
         """See `DataSource.cloud`.
 
         Raises:
-            InputError: The mesh cannot be used.
+            InputError: the mesh cannot be used.
             ResourceError: Open3D, which casts the rays, cannot be loaded.
         """
         rng = np.random.default_rng([seed, epoch, index])

@@ -20,17 +20,17 @@ UNEVEN = 2.0  # how much farther apart than the median the points of a part of a
 
 
 def core_that_fits(memory: int) -> int:
-    """How many points the core of a block may have, so that the block with its halo takes so many bytes of memory."""
+    """Find how many points the core of a block may have, so that it takes so many bytes of memory with its halo."""
     return min(CORE, int(memory / bytes_of(1)))
 
 
 def bytes_of(core: int) -> int:
-    """The memory that a block with a core of so many points takes with its halo, at most."""
+    """Tell how many bytes of memory a block with a core of so many points takes with its halo, at most."""
     return round(core * (1 + HALO_SHARE) * BYTES)
 
 
 def bytes_together(points: int) -> int:
-    """The memory that is taken for a cloud of so many points, in one look or in blocks."""
+    """Tell how many bytes of memory a cloud of so many points takes, in one look or in blocks."""
     return min(points, TOGETHER) * BYTES
 
 
@@ -79,5 +79,5 @@ def _inverse(permutation: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def radius_of(neighbors: int) -> float:
-    """How far away the last of so many neighbors on a surface may be, in the unit of `base.Estimator.reach`."""
+    """Tell how far away the last of so many neighbors on a surface may be, in the unit of `base.Estimator.reach`."""
     return UNEVEN * float(np.sqrt(2 * neighbors / SPACING_NEIGHBORS))

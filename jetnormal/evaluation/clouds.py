@@ -59,7 +59,7 @@ def read_benchmark_cloud(folder: Path, name: str, all_points: bool = False, *, s
 
 
 def clean_normals(folder: Path, cloud: BenchmarkCloud) -> NDArray[np.float64] | None:
-    """The true normals (Q, 3) of the nearest points of the clean cloud that a noisy one was made from, if present.
+    """Find the true normals (Q, 3) of the nearest points of the clean cloud that a noisy one was made from, if present.
 
     Raises:
         InputError: a file of that cloud is unreadable or does not match the other.

@@ -224,11 +224,11 @@ class _Trial:
         return CloudResult(scores, errors, estimate.points, estimate.seconds, angles)
 
     def estimate(self, cloud: BenchmarkCloud, options: EvaluateOptions, advance: Advance) -> Estimate:
-        """The normals at the points evaluated."""
+        """Return the normals at the points evaluated."""
         raise NotImplementedError
 
     def z_angles(self, cloud: BenchmarkCloud) -> ZAngles | None:
-        """What the learned transform of a patch network does."""
+        """Measure what the learned transform of a patch network does; None without one."""
         return None
 
 

@@ -36,6 +36,7 @@ class Details:
     extensions: tuple[tuple[str, str], ...]
 
     def losses(self) -> list[str]:
+        """Name what other formats cannot hold."""
         pictures = len(self.root["images2D"])
         return [f"{pictures} pictures are not kept"] if pictures else []
 

@@ -48,7 +48,7 @@ def _power_of_ten(exponent: int) -> float:
 def to_integers(
     values: NDArray[np.float64], scale: float, offset: float, dtype: np.dtype[Any]
 ) -> tuple[NDArray[np.int32], bool]:
-    """Coordinates as a file's integers, and whether these give the same ones as exactly as their type holds them."""
+    """Convert coordinates to a file's integers; tell whether these give the same ones as exactly as their type can."""
     scaled = np.rint((values - offset) / scale)
     if np.abs(scaled).max(initial=0) > _LARGEST:
         raise InputError(
@@ -98,6 +98,7 @@ def _to_16_bits(values: NDArray[Any], *, is_color: bool) -> NDArray[Any]:
 
 
 def fits(values: NDArray[Any], dimension: Any) -> bool:
+    """Tell whether values can be stored in a standard dimension without a change."""
     if values.ndim != 1 or values.dtype.kind not in "uif":
         return False
     if dimension.kind.name == "FloatingPoint" or not values.size:

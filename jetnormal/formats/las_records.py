@@ -67,6 +67,11 @@ def check_size(header: Any, path: Path) -> None:
 
 
 def laszip_record(records: tuple[Record, ...], path: Path) -> bytes:
+    """Find the record that says how points are compressed.
+
+    Raises:
+        InputError: there is none.
+    """
     for record in records:
         if (record.user, record.number) == LASZIP and len(record.data) >= _LASZIP_HEAD.size:
             return record.data

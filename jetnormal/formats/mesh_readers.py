@@ -102,7 +102,7 @@ READERS: dict[str, Callable[[Path], Mesh]] = {
 
 
 def fans(polygons: Sequence[Any] | Rows) -> NDArray[np.int64]:
-    """Polygons as triangles (F, 3) that share their first corner, in the polygons' order; what has no area is dropped.
+    """Cut polygons into triangles (F, 3) around their first corner, in their order; what has no area is dropped.
 
     Args:
         polygons: an array (F, n) of corners, or a sequence of F arrays (n,).
@@ -239,7 +239,7 @@ def _joined(meshes: list[Mesh]) -> Mesh:
 
 
 def to_light(colors: Rows) -> Rows:
-    """Screen colors (sRGB) as amounts of light, which glTF's are."""
+    """Convert screen colors (sRGB) to amounts of light, which glTF's are."""
     return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 

@@ -181,7 +181,7 @@ def _write_stl(mesh: Mesh, stream: BinaryIO) -> list[str]:
 
 
 def gltf_offset(mesh: Mesh) -> NDArray[np.float64] | None:
-    """What `write_mesh` takes off the coordinates for glTF, whose viewers have single precision; None if nothing."""
+    """Find what `write_mesh` takes off coordinates for glTF, whose viewers have single precision; None for nothing."""
     low, high = mesh.vertices.min(axis=0, initial=np.inf), mesh.vertices.max(axis=0, initial=-np.inf)
     middle = (low + high) / 2
     far = len(mesh.vertices) and np.abs(middle).max() > FAR * float((high - low).max())

@@ -124,7 +124,7 @@ class _Rows:
             self._streams.append(stream)
 
     def take(self, rows: int) -> NDArray[Any]:
-        """The next so many rows."""
+        """Read the next so many rows."""
         parts = [np.frombuffer(_exactly(stream, rows * self._item), self._dtype) for stream in self._streams]
         if len(parts) == 1:
             return parts[0].reshape(rows, *self._rest)

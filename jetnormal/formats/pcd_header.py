@@ -22,6 +22,8 @@ _LONGEST_HEADER_LINE = 65536
 
 @dataclass(frozen=True)
 class Header:
+    """What the header of a PCD file says."""
+
     dtype: np.dtype[Any]
     """One point: a structured type whose fields with COUNT > 1 are sub-arrays."""
     padding: frozenset[str]
@@ -35,10 +37,12 @@ class Header:
 
     @property
     def points(self) -> int:
+        """Number of points."""
         return self.width * self.height
 
     @property
     def columns(self) -> int:
+        """Numbers of a point."""
         return sum(int(np.prod(self.dtype[name].shape)) for name in self.dtype.names or ())
 
     @property
@@ -48,6 +52,11 @@ class Header:
 
 
 def read_header(stream: BinaryIO, path: Path) -> Header:
+    """Read the header of a PCD file; the stream is left behind it.
+
+    Raises:
+        InputError: it is damaged or no such header.
+    """
     entries: dict[str, list[str]] = {}
     comments: list[str] = []
     lines = 0
@@ -97,6 +106,7 @@ def _interpret(entries: dict[str, list[str]], comments: tuple[str, ...], lines: 
 
 
 def header_text(source: Source, points: int, columns: Columns, encoding: str) -> str:
+    """Write the header of so many points with the types of these columns."""
     width, height = source.width or 0, source.height or 0
     if width * height != points:  # points were removed, or the format had no such thing
         width, height = points, 1

@@ -50,7 +50,7 @@ NOISE_INFIX = "_noise_white_"
 
 
 def split_name(name: str) -> tuple[str, str]:
-    """The shape and the category that the name of a cloud tells; a noise level of no category is one of its own."""
+    """Find the shape and the category in the name of a cloud; a noise level of no category is one of its own."""
     for category in ("striped", "gradient"):  # the longer ending first
         if name.endswith(CATEGORIES[category].ending):
             return name.removesuffix(CATEGORIES[category].ending), category
@@ -67,7 +67,7 @@ def shape_of(name: str, category: str) -> str:
 
 
 def category_list(category: str) -> str:
-    """Name of the list of the clouds of a category of PCPNet's test set, or of any other."""
+    """Return the name of the list of a category, of PCPNet's test set or any other."""
     return CATEGORIES[category].list_file if category in CATEGORIES else f"{LIST_PREFIX}{category}.txt"
 
 
@@ -87,7 +87,7 @@ def categorize(directory: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def clean_twin(directory: Path, name: str) -> str | None:
-    """Name of the cloud that a noisy one was made from, if it is in the folder with its normals."""
+    """Find the cloud that a noisy one was made from, if it is in the folder with its normals."""
     shape, infix, _ = name.rpartition(NOISE_INFIX)
     present = infix and all(file_of(directory, shape, suffix).is_file() for suffix in ("xyz", "normals"))
     return shape if present else None
@@ -97,7 +97,7 @@ def cloud_names(directory: Path, list_file: str | None) -> list[str]:
     """Return the names of the clouds that a list names, one per line, or without a list of all that have normals.
 
     Raises:
-        InputError: The list is missing, a cloud that it names lacks a file, or there are no clouds.
+        InputError: the list is missing, a cloud that it names lacks a file, or there are no clouds.
     """
     labeled = (path.stem for path in directory.glob("*.normals"))
     present = sorted(name for name in labeled if file_of(directory, name, "xyz").is_file())
@@ -116,7 +116,7 @@ def read_list(path: Path) -> list[str]:
     """Return the names in a list of clouds, one per line.
 
     Raises:
-        InputError: The list is missing.
+        InputError: the list is missing.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such list of clouds")
@@ -127,7 +127,7 @@ def read_cloud(directory: Path, name: str) -> tuple[NDArray[np.float64], NDArray
     """Read the points (N, 3), unit normals (N, 3) and, where there are any, the indices (Q,) to evaluate.
 
     Raises:
-        InputError: A file is unreadable or does not match the others.
+        InputError: a file is unreadable or does not match the others.
     """
     path = file_of(directory, name, "xyz")
     points = _read_numbers(path, columns=3)
@@ -161,7 +161,7 @@ def read_sensors(directory: Path, name: str, count: int) -> NDArray[np.float64]:
     """Read where each of `count` points of a scan was seen from, (count, 3), from the attributes of NAME.ply.
 
     Raises:
-        InputError: The file is missing, unreadable, lacks the attributes or does not match the others.
+        InputError: the file is missing, unreadable, lacks the attributes or does not match the others.
     """
     path = file_of(directory, name, "ply")
     if not path.is_file():
@@ -199,7 +199,7 @@ def write_normals(path: Path, normals: NDArray[np.floating[Any]], *, overwrite: 
 
 
 def query_count(directory: Path, name: str, all_points: bool = False) -> int:
-    """Number of points of a cloud that are evaluated, without parsing its files: lines of .pidx, else of .xyz.
+    """Count the points of a cloud that are evaluated, without parsing its files: lines of .pidx, else of .xyz.
 
     Args:
         directory: the folder.
@@ -207,7 +207,7 @@ def query_count(directory: Path, name: str, all_points: bool = False) -> int:
         all_points: whether all points count, whatever .pidx says.
 
     Raises:
-        InputError: The file is unreadable.
+        InputError: the file is unreadable.
     """
     path = file_of(directory, name, "pidx")
     path = path if path.is_file() and not all_points else file_of(directory, name, "xyz")

@@ -39,6 +39,8 @@ _LONGEST_HEADER_LINE = 65536
 
 @dataclass(frozen=True)
 class Property:
+    """A column of an element."""
+
     name: str
     type: str
     """NumPy code without byte order, such as ``"f4"``."""
@@ -56,6 +58,8 @@ class Property:
 
 @dataclass(frozen=True)
 class Element:
+    """A table of a file, such as its vertices or its faces: `count` rows with these columns."""
+
     name: str
     count: int
     properties: tuple[Property, ...] = ()
@@ -65,6 +69,7 @@ class Element:
 
     @property
     def is_scalar(self) -> bool:
+        """Whether no property is a list."""
         return all(prop.length_type is None for prop in self.properties)
 
     def smallest_size(self, encoding: str) -> int:
@@ -74,12 +79,15 @@ class Element:
         return self.count * sum(np.dtype(prop.length_type or prop.type).itemsize for prop in self.properties)
 
     def dtype(self, encoding: str) -> np.dtype[Any]:
+        """Return the structured type of a row without lists, in the byte order of an encoding."""
         order = BYTE_ORDERS[encoding]
         return np.dtype([(prop.name, order + prop.type) for prop in self.properties])
 
 
 @dataclass(frozen=True)
 class Header:
+    """What the header of a PLY file says; `lines` is its length."""
+
     encoding: str
     elements: tuple[Element, ...]
     comments: tuple[str, ...] = ()
@@ -93,10 +101,16 @@ class Header:
         return "\n".join([*lines, *map(str, self.elements), "end_header\n"])
 
     def encode(self) -> bytes:
+        """Return the header as the bytes of a file."""
         return str(self).encode("utf-8", "surrogateescape")
 
 
 def read_header(stream: BinaryIO, path: Path) -> Header:
+    """Read the header of a PLY file; the stream is left behind it.
+
+    Raises:
+        InputError: it is damaged or no such header.
+    """
     if stream.readline(_LONGEST_HEADER_LINE).removeprefix(b"\xef\xbb\xbf").strip() != b"ply":
         raise InputError(f"{path}: does not begin with the line 'ply'; is this a PLY file?")
     encoding, comments, object_info = "", [], []  # type: ignore[var-annotated]

@@ -74,7 +74,7 @@ class Spacing:
 
     @classmethod
     def of(cls, points: NDArray[np.float64], threads: int | None = None) -> Spacing:
-        """The spacing of a cell with (N, 3) points, N >= 1."""
+        """Measure the spacing of a cell with (N, 3) points, N >= 1."""
         sample = points[in_sample(points, max(0, (len(points) // SAMPLE).bit_length() - 1))]
         sample = sample[distinct(sample)[0]] if len(sample) else points[:1]  # of a cell of copies of one point
         neighbors = min(SPACING_NEIGHBORS + 1, len(points))
@@ -92,12 +92,12 @@ class Spacing:
         return NeighborIndex(self.sample, threads=self.threads)
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The spacing (n,) at points (n, 3) of the cell."""
+        """Find the spacing (n,) at points (n, 3) of the cell."""
         return np.asarray(self.values[self._index.query(points, 1)[0][:, 0]])
 
 
 def widest(extent: NDArray[np.float64], count: int) -> float:
-    """The largest spacing of a cell of so many points in a box of this extent (3,); strays may be farther apart."""
+    """Bound the spacing of a cell of so many points in a box of this extent (3,); strays may be farther apart."""
     return WIDEST * float(np.linalg.norm(extent)) / np.sqrt(count)
 
 
@@ -125,7 +125,7 @@ def seen_from(
 
 
 def nearest(seen: list[tuple[NDArray[np.int64], NDArray[np.float64]]], core: int) -> list[NDArray[np.int64]]:
-    """Of what a core of so many points sees of each other cell (`seen_from`), the rows that there is room for."""
+    """Choose the rows that there is room for of what a core of so many points sees of each other cell (`seen_from`)."""
     apart = np.concatenate([np.zeros(0), *(distances for _, distances in seen)])
     most = round(HALO_SHARE * core)
     if len(apart) <= most:

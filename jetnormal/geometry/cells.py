@@ -53,7 +53,7 @@ class Cells:
 
 
 def halvings(points: int) -> int:
-    """How many times a cloud of so many points is halved to the sample that tells its cells."""
+    """Tell how many times a cloud of so many points is halved to the sample that tells its cells."""
     return max(0, (points // SAMPLE).bit_length() - 1)
 
 

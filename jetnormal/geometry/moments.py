@@ -54,7 +54,7 @@ def _principal(m: NDArray[np.float64], values: NDArray[np.float64], normal: NDAr
 
 
 def moments_of(points: NDArray[np.float64], others: NDArray[np.float64], neighbors: NDArray[np.int32]) -> Moments:
-    """Scale, normal, variances and centroid of each point's neighborhood among others, the point itself included."""
+    """Compute scale, normal, variances and centroid of each point's neighborhood among others, itself included."""
     count = len(points)
     scale, normals = np.empty(count, np.float32), np.empty((count, 3), np.float32)
     variance, centroid = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)

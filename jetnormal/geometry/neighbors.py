@@ -145,7 +145,7 @@ def distinct(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np
 
 
 def spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """An order of (n, 3) points in which near ones are mostly close together (Morton), so that the cache has them."""
+    """Order (n, 3) points so that near ones are mostly close together (Morton), where the cache has them."""
     low = points.min(axis=0)
     cells = ((points - low) * (0xFFFF / max(float(np.ptp(points, axis=0).max()), 1e-300))).astype(np.uint64)
     for shift, mask in ((32, 0xFFFF00000000FFFF), (16, 0x00FF0000FF0000FF), (8, 0xF00F00F00F00F00F),

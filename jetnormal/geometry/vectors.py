@@ -17,7 +17,7 @@ def unit(vectors: ArrayLike, otherwise: ArrayLike = 0.0) -> NDArray[np.float64]:
 
 
 def fibonacci_sphere(count: int) -> NDArray[np.float64]:
-    """Nearly even unit vectors, (count, 3), from the pole at z = 1 down to that at z = -1."""
+    """Return nearly even unit vectors, (count, 3), from the pole at z = 1 down to that at z = -1."""
     index = np.arange(count) + 0.5
     z = 1 - 2 * index / count
     angle = np.pi * (1 + np.sqrt(5)) * index

@@ -268,7 +268,7 @@ def with_normals(cloud: Cloud, result: Result, options: EstimateOptions) -> tupl
 
 
 def gaps(non_finite: int, degenerate: int) -> list[str]:
-    """Warnings about points without a normal."""
+    """Warn about points without a normal."""
     warnings = []
     if non_finite:
         warnings.append(f"{non_finite} points have no finite coordinates; their normals are NaN")

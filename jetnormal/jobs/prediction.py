@@ -123,5 +123,5 @@ def _suited_to(count: int, estimator: Estimator, options: NormalOptions) -> tupl
 
 
 def turned_curvatures(curvatures: NDArray[np.float32], turned: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Principal curvatures (N, 2), the larger first, after normals (N,) were turned: their signs change."""
+    """Turn principal curvatures (N, 2), the larger first, with normals (N,) that were turned: their signs change."""
     return np.where(turned[:, None], -curvatures[:, ::-1], curvatures)

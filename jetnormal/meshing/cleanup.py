@@ -156,7 +156,7 @@ def smoothed(mesh: Mesh, rounds: int) -> Mesh:
 
 
 def simplified(mesh: Mesh, faces: int) -> Mesh:
-    """The mesh without colors and with about so many faces, where it has more (Garland and Heckbert, SIGGRAPH 1997)."""
+    """Return the mesh, without colors, with about so many faces where it has more (Garland and Heckbert, 1997)."""
     if len(mesh.faces) <= faces:
         return mesh
     found = _to_open3d(mesh).simplify_quadric_decimation(faces)
@@ -178,7 +178,7 @@ def _without_loose_vertices(mesh: Mesh) -> Mesh:
 
 
 def component_labels(mesh: Mesh) -> Ints:
-    """Number the connected components: for each vertex (V,) its component, from 0."""
+    """Find the connected component of each vertex (V,), numbered from 0."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -70,7 +70,7 @@ class IterNet(nn.Module):
         return plane_normals(offsets, weights), weights
 
     def refit(self, graph: Graph, normals: Tensor, weights: Tensor, rows: slice | Tensor) -> tuple[Tensor, Tensor]:
-        """One iteration for some points of a cloud.
+        """Do an iteration for some points of a cloud.
 
         Args:
             graph: of the cloud.

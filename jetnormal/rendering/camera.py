@@ -60,7 +60,7 @@ class Camera:
         return vectors @ self.axes.T
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
-        """Pixel coordinates (N, 2), right and down, and depths (N,) of points (N, 3) in the camera's frame."""
+        """Find pixel coordinates (N, 2), right and down, and depths (N,) of points (N, 3) in the camera's frame."""
         depth = self.distance - points[:, 2]
         return self.corner + self.scale * points[:, :2] * [1, -1] / depth[:, None], depth
 
@@ -117,7 +117,7 @@ def _angles(view: str) -> tuple[float, float]:
 
 
 def view_direction(view: str, points: Floats, normals: Floats) -> Floats:
-    """From the object to the camera (3,).
+    """Find the direction (3,) from the object to the camera.
 
     Args:
         view: a name in `VIEWS`; AZIMUTH:ELEVATION in degrees, 0:0 being the front and 90:0 the right; or "auto":
@@ -142,7 +142,7 @@ def view_direction(view: str, points: Floats, normals: Floats) -> Floats:
 
 
 def camera_axes(towards: Floats) -> Floats:
-    """Right, up and towards the camera, in rows.
+    """Return right, up and towards the camera, in rows (3, 3).
 
     Up is z. Seen along z it is y where the camera looks down, as on a map, and -y where it looks up: that is the
     frame of depth cameras, whose y points down and whose z points ahead.
@@ -174,7 +174,7 @@ def _share_of_fronts(points: Floats, normals: Floats, towards: Floats) -> float:
 
 
 def interesting_direction(points: Floats, normals: Floats) -> Floats:
-    """From the object to the camera (3,), where most is to be seen.
+    """Find the direction (3,) from the object to the camera in which most is to be seen.
 
     That is where the visible surface faces many directions (by entropy) and fills the picture.
 

@@ -88,7 +88,7 @@ def encode_page(
 
 
 def encode_octahedral(normals: NDArray[np.float64]) -> NDArray[np.int8]:
-    """Unit vectors (N, 3) as (N, 2) int8, to about one degree: on an octahedron, whose lower half is folded up."""
+    """Encode unit vectors (N, 3) as (N, 2) int8, to a degree: on an octahedron, whose lower half is folded up."""
     flat = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-300)
     signs = np.where(flat[:, :2] < 0, -1, 1)
     folded = np.where(flat[:, 2:] < 0, (1 - np.abs(flat[:, 1::-1])) * signs, flat[:, :2])

@@ -105,6 +105,7 @@ def _splat(scene: Scene, camera: Camera) -> Surfels:
 
 
 def spacing(points: NDArray[np.float64]) -> float:
+    """Estimate the distance between neighbors among points (N, 3); 1 if all are one point."""
     from jetnormal.geometry.neighbors import distinct
     from jetnormal.meshing.cleanup import typical_spacing
 

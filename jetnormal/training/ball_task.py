@@ -105,7 +105,7 @@ class BallTask:
         return batches
 
     def errors(self, network: PCPNet | NestiNet, held_out: list[BallBatch]) -> tuple[float, ...]:
-        """RMSE in degrees of the normals over all queries."""
+        """Measure the RMSE in degrees of the normals over all queries."""
         network.eval()
         found = []
         with torch.inference_mode():

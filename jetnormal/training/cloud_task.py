@@ -62,7 +62,7 @@ class CloudTask:
         return {name: float(np.mean([terms[name] for _, terms in results])) for name in results[0][1]}
 
     def held_out(self, source: DataSource) -> list[Crop]:
-        """Two crops from each held-out cloud of a source."""
+        """Draw two crops from each held-out cloud of a source."""
         seed = self._options.seed
         crops = []
         for number in range(source.clouds_per_epoch):

@@ -143,7 +143,7 @@ class IterTask:
         return crops
 
     def errors(self, network: IterNet, held_out: list[RoundCrop]) -> tuple[float, ...]:
-        """Means over the crops of the RMSE in degrees of the last normals and of the planes that they start from."""
+        """Measure the means over the crops of the RMSE in degrees of the last normals and of the first planes."""
 
         @torch.inference_mode()
         def measure(crop: RoundCrop) -> list[float]:

@@ -24,7 +24,7 @@ SURE = math.radians(10)
 
 
 def sine(estimated: Tensor, true: Tensor) -> Tensor:
-    """|a x b| of (..., 3) unit vectors: the sine of the angle between two directions, (...)."""
+    """Compute |a x b| of (..., 3) unit vectors: the sine (...) of the angle between two directions."""
     return torch.linalg.cross(estimated, true).square().sum(-1).clamp_min(1e-16).sqrt()
 
 

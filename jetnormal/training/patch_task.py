@@ -53,7 +53,7 @@ class PatchTask:
         return {name: value.item() for name, value in terms.items()}
 
     def held_out(self, source: DataSource) -> list[Batch]:
-        """One batch of patches from each held-out cloud of a source."""
+        """Draw a batch of patches from each held-out cloud of a source."""
         seed = self._options.seed
         batches = []
         for number in range(source.clouds_per_epoch):
@@ -65,7 +65,7 @@ class PatchTask:
         return batches
 
     def errors(self, network: PatchFit, held_out: list[Batch]) -> tuple[float, ...]:
-        """RMSE in degrees of the refined, the rough and the z-direction normals over all patches."""
+        """Measure the RMSE in degrees of the refined, the rough and the z-direction normals over all patches."""
         found: list[list[np.ndarray]] = [[], [], []]
         network.eval()
         with torch.inference_mode():

@@ -5,7 +5,7 @@
 
     [network]                # the network's configuration
     [data]                   # DataOptions
-    [training]               # PatchTraining or CloudTraining
+    [training]               # TrainOptions, and what the kind of network adds (training.families)
     [losses]                 # LossWeights, of patch networks
 
 The recipes in the folder `recipes` are known by their names. A run keeps its recipe, complete, as config.toml.

@@ -154,6 +154,6 @@ class RandomField:
         self._phases = rng.uniform(0, 2 * np.pi, self._WAVES).astype(np.float32)
 
     def __call__(self, points: Floats) -> Floats:
-        """The values (N,) at points (N, 3)."""
+        """Evaluate the function at points (N, 3): (N,)."""
         angles = points.astype(np.float32) @ self._vectors + self._phases
         return np.asarray(np.cos(angles).sum(1) * np.sqrt(2 / self._WAVES), dtype=np.float64)

@@ -119,7 +119,7 @@ class Window:
 
 
 def window_of(target: Target, raster: Raster, closeness: float, rng: np.random.Generator) -> Window:
-    """The window that shows the whole target, or, with a closeness above 1, a part of it around a random point."""
+    """Find the window that shows the whole target, or, with a closeness above 1, a part of it around a random point."""
     places = raster.coordinates(target.sample(1000, rng)[0])
     low, high = places.min(0), places.max(0)
     margin = 0.02 * (high - low)

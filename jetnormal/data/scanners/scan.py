@@ -42,6 +42,7 @@ class Scan:
 
 
 def merged(views: list[Scan]) -> Scan:
+    """Join views of one kind into a scan."""
     arrays = ("points", "normals", "sensors", "labeled")
     joined = {name: np.concatenate([getattr(view, name) for view in views]) for name in arrays}
     return Scan(views[0].kind, **joined)
@@ -71,4 +72,5 @@ def axes_along(forward: Floats, up: Floats) -> Floats:
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number whose logarithm is uniform between those of two bounds."""
     return float(low * (high / low) ** rng.random())

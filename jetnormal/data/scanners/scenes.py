@@ -187,7 +187,7 @@ SCENE_SCANNERS: dict[str, dict[str, tuple[_Scanner, float]]] = {
 
 
 def scene_shares(kind: str) -> dict[str, float]:
-    """How often each scanner scans a scene of a kind."""
+    """Tell how often each scanner scans a scene of a kind: shares by their names."""
     return {name: share for name, (_, share) in SCENE_SCANNERS[kind].items()}
 
 

@@ -117,7 +117,7 @@ def chair(rng: Rng) -> Piece:
 
 
 def sofa(rng: Rng) -> Piece:
-    """Soft cushions on a frame, its back at y = 0."""
+    """Make soft cushions on a frame, its back at y = 0."""
     seats, deep, wide = int(rng.integers(1, 4)), rng.uniform(0.7, 0.95), rng.uniform(0.55, 0.7)
     length = seats * wide
     pieces = [box([length, deep, 0.25], [0, -deep / 2, 0.06])]
@@ -131,7 +131,7 @@ def sofa(rng: Rng) -> Piece:
 
 
 def shelf(rng: Rng) -> Piece:
-    """Boards with books, its back at y = 0."""
+    """Make boards with books, its back at y = 0."""
     wide, deep, boards = rng.uniform(0.6, 1.6), rng.uniform(0.2, 0.4), int(rng.integers(2, 6))
     gap, thick = rng.uniform(0.28, 0.4), 0.02
     height = boards * gap + thick
@@ -166,7 +166,7 @@ def cabinet(rng: Rng) -> Piece:
 
 
 def radiator(rng: Rng) -> Piece:
-    """Ribs of a radiator, or a corrugated one, its back at y = 0."""
+    """Make a radiator of ribs, or a corrugated one, its back at y = 0."""
     wide, height = rng.uniform(0.5, 1.8), rng.uniform(0.4, 0.9)
     if rng.random() < 0.5:
         xs = np.arange(0.04, wide, rng.uniform(0.045, 0.08)) - wide / 2

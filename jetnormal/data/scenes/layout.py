@@ -65,11 +65,11 @@ class Floor:
         return True
 
     def joined(self, more: Sequence[Piece] = ()) -> Piece:
-        """Everything that was put, and more."""
+        """Join everything that was put, and more."""
         return joined([*self.pieces, *more])
 
     def stands(self, low: Floats, high: Floats, heights: tuple[float, float], rng: np.random.Generator) -> Floats:
-        """Up to twelve free places (K, 3), at least one, in a rectangle of the ground."""
+        """Find up to twelve free places (K, 3), at least one, in a rectangle of the ground."""
         places = [rng.uniform(low, high) for _ in range(60)]
         free = [place for place in places if self.free(place[0], place[1], 0.35)][:12] or places[:1]
         return np.array([[*place, rng.uniform(*heights)] for place in free])

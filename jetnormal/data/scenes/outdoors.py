@@ -89,7 +89,7 @@ def fence(rng: Rng) -> Piece:
 
 
 def person(rng: Rng) -> Piece:
-    """Someone who stands, roughly."""
+    """Make someone who stands, roughly."""
     high = rng.uniform(1.5, 1.9) / 1.75
     parts = [
         star(Superellipsoid([0.1, 0.11, 0.13]), [0, 0, 1.62], rows=25),

@@ -43,7 +43,7 @@ class Piece:
 
 
 def joined(pieces: Iterable[Piece]) -> Piece:
-    """Several pieces as one."""
+    """Join pieces into one."""
     pieces = list(pieces)
     starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces[:-1]])
     return Piece(
@@ -143,7 +143,7 @@ def turned(rho: ArrayLike, z: ArrayLike) -> Piece:
 
 
 def lathe(height: float, profile: Callable[[Floats], tuple[Floats, Floats]]) -> Piece:
-    """A smooth profile turned around z, from 0 to a height; profile gives the distance from the axis and its slope."""
+    """Turn a smooth profile around z, from 0 to a height; it gives the distance from the axis and its slope."""
     z = np.linspace(0, height, 65)[:, None]
     rho, slope = profile(z)
     angle = np.linspace(0, 2 * np.pi, sides(float(rho.max())) + 1)[None, :]
@@ -202,7 +202,7 @@ def wall(
 
 
 def leaves(count: int, size: float, spread: ArrayLike, rng: np.random.Generator) -> Piece:
-    """Small triangles of any direction within an ellipsoid of semi-axes `spread`; their normals are zero."""
+    """Make small triangles of any direction within an ellipsoid of semi-axes `spread`; their normals are zero."""
     middle = rng.normal(size=(count, 1, 3))
     middle *= rng.random((count, 1, 1)) ** (1 / 4) / np.linalg.norm(middle, axis=2, keepdims=True)
     vertices = middle * np.asarray(spread) + size * rng.normal(scale=0.5, size=(count, 3, 3))
@@ -216,7 +216,7 @@ def sides(radius: float) -> int:
 
 
 def perpendicular(axis: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors that make a right-handed frame with the unit vector `axis` as the third."""
+    """Find two unit vectors that make a right-handed frame with the unit vector `axis` as the third."""
     helper = np.eye(3)[np.argmin(np.abs(axis))]
     first = unit(np.cross(helper, axis))
     return first, np.cross(axis, first)

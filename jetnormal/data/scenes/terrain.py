@@ -24,7 +24,7 @@ class Hills:
         self._phases = rng.uniform(0, 2 * np.pi, count)
 
     def __call__(self, x: Floats | float, y: Floats | float) -> tuple[Floats, Floats, Floats]:
-        """Height and slopes along x and y."""
+        """Return the height and the slopes along x and y."""
         angles = np.multiply.outer(x, self._waves[0]) + np.multiply.outer(y, self._waves[1]) + self._phases
         slopes = self._heights * np.cos(angles)
         return np.sin(angles) @ self._heights, slopes @ self._waves[0], slopes @ self._waves[1]

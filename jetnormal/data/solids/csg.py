@@ -19,11 +19,11 @@ class Part:
     """A primitive at its place in a solid.
 
     Attributes:
-        primitive: The shape.
-        operation: Whether it is added to or cut from the parts before it.
+        primitive: the shape.
+        operation: whether it is added to or cut from the parts before it.
         translation: (3,).
         rotation: (3, 3).
-        scale: Positive, the same along all axes.
+        scale: positive, the same along all axes.
     """
 
     primitive: Primitive
@@ -59,7 +59,7 @@ class Solid:
     """Parts that are added and cut in their order; the first one is always added."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        """Two parts must not share a piece of surface, which random places make sure of."""
+        """Put parts together; two must not share a piece of surface, which random places make sure of."""
         self.parts = tuple(parts)
         areas = np.array([part.area for part in parts])
         self._shares = areas / areas.sum()
@@ -75,7 +75,7 @@ class Solid:
         """Return `count` points uniform over the surface, (count, 3), and their outward unit normals.
 
         Raises:
-            ValueError: Nothing of the solid is left.
+            ValueError: nothing of the solid is left.
         """
         if self.exposed_share == 0:
             raise ValueError("the solid has no surface: its parts are all cut away")
@@ -87,7 +87,7 @@ class Solid:
         return points[:count], normals[:count]
 
     def sides(self, points: Floats, own: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Whether the solid is on the inner side, and on the outer side, of the surface of part `own` at points (N, 3).
+        """Tell whether the solid is on the inner and on the outer side of the surface of part `own` at points (N, 3).
 
         A point of a part's surface is on the solid's if that differs. Where the solid is on the outer side alone, the
         part was cut from it.

@@ -32,7 +32,7 @@ def half_circle(start: float, end: float, count: int) -> tuple[Floats, Floats]:
 
 
 def grid_faces(rows: int, columns: int, *, rows_wrap: bool = False) -> NDArray[np.int64]:
-    """Triangles (F, 3) of a grid of vertices, row by row, whose columns close to rings, and rows too if asked."""
+    """Return triangles (F, 3) of a grid of vertices, row by row, whose columns close to rings; rows, too, if asked."""
     row, column = np.meshgrid(np.arange(rows if rows_wrap else rows - 1), np.arange(columns), indexing="ij")
     corner = (row * columns + column).ravel()
     beside = (row * columns + (column + 1) % columns).ravel()

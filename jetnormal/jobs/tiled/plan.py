@@ -45,7 +45,7 @@ class Plan:
 
     @classmethod
     def of(cls, store: Store) -> Plan | None:
-        """The plan of a folder; None if its points are not in their tiles yet."""
+        """Read the plan of a folder; None if its points are not in their tiles yet."""
         content = store.read_json(PLAN)
         if content is None:
             return None

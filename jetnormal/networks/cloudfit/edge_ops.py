@@ -71,7 +71,7 @@ def edge_messages(own: Tensor, sender: Tensor, weight: Tensor, neighbors: Tensor
 def edge_mlp(
     own: Tensor, sender: Tensor, weight: Tensor, out_weight: Tensor, bias: Tensor, neighbors: Tensor, features: Tensor
 ) -> Tensor:
-    """relu(own[i] + sender[j] + features[i, j] @ weight) @ out_weight.T + bias on each edge.
+    """Compute relu(own[i] + sender[j] + features[i, j] @ weight) @ out_weight.T + bias on each edge.
 
     Args:
         own: (N, H).

@@ -37,8 +37,10 @@ def _farthest_points(points: NDArray[np.float32], work: NDArray[np.float32], kep
 
 
 def smallest(scores: NDArray[np.float32], found: NDArray[np.int64]) -> None:
-    """Fill found (R, k) with the columns of the k smallest of each row of scores (R, n), ascending; of equals, the
-    first. This is faster than a general selection where k is much smaller than n."""
+    """Fill found (R, k) with the columns of the k smallest of each row of scores (R, n), ascending.
+
+    Of equals, the first is taken. This is faster than a general selection where k is much smaller than n.
+    """
     _smallest(scores, np.empty(found.shape[1], np.float32), found)
 
 

@@ -82,7 +82,7 @@ def maximum(features: Tensor, axis: int) -> Tensor:
 
 
 def linear_peak(linear: nn.Linear, features: Tensor) -> Tensor:
-    """The maximum over the points of a linear map with a bias, (..., k, C_in) to (..., C_out); the bias comes last."""
+    """Take the maximum over the points of a linear map; its bias is added last: (..., k, C_in) to (..., C_out)."""
     return maximum(nn.functional.linear(features, linear.weight), -2) + linear.bias
 
 
@@ -110,7 +110,7 @@ def flat_indices(indices: Tensor, count: int) -> Tensor:
 
 
 def nearest(points: Tensor, queries: Tensor, k: int) -> Tensor:
-    """Indices, (B, m, k), of the k nearest of (B, n, C) `points` to each of (B, m, C) `queries`, ascending.
+    """Find the indices (B, m, k) of the k nearest of (B, n, C) `points` to each of (B, m, C) `queries`, ascending.
 
     Distances in any number of channels, the query itself included where it is among the points.
     """

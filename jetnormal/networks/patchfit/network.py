@@ -175,10 +175,7 @@ class PatchFit(nn.Module):
         )
 
     def for_inference(self) -> PatchFit:
-        """Evaluation mode, without gradients, batch normalization folded into the linear maps; not to be saved again.
-
-        Returns itself.
-        """
+        """Fold the batch normalization into the linear maps; return the network itself, not to be saved again."""
         self.eval().requires_grad_(False)
         for module in self.modules():
             if isinstance(module, PointLayer):

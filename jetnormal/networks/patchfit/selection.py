@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def farthest_points(points: Tensor, count: int) -> Tensor:
-    """Farthest point sampling from index 0 on: (B, count) indices of (B, n, 3) points; of equals, the first."""
+    """Sample the farthest points from index 0 on: (B, count) indices of (B, n, 3) points; of equals, the first."""
     points = points.detach().float()
     if not _compiled(points):
         return _farthest_by_batch(points, count)
@@ -25,8 +25,10 @@ def every_nth(points: Tensor, count: int) -> Tensor:
 
 
 def smallest(scores: Tensor, k: int) -> Tensor:
-    """(..., k) indices of the k smallest of each row of (..., n) float32 scores, ascending; on a CPU, of equals the
-    first."""
+    """Find the indices (..., k) of the k smallest of each row of (..., n) float32 scores, ascending.
+
+    On a CPU, the first of equals is taken.
+    """
     if not _compiled(scores):
         return scores.topk(k, largest=False, sorted=True).indices
     from jetnormal.networks.patchfit.kernels import smallest

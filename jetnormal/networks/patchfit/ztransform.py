@@ -75,7 +75,7 @@ class FeatureTransform(nn.Module):
 
 
 def summary(layers: nn.Sequential, features: Tensor) -> Tensor:
-    """Make a chain of point layers, then the maximum over the points: (B, k, C_in) to (B, C_out)."""
+    """Apply a chain of point layers and take the maximum over the points: (B, k, C_in) to (B, C_out)."""
     last = layers[-1]
     assert isinstance(last, PointLayer)
     return last.peak(layers[:-1](features))
@@ -87,7 +87,7 @@ def scaled(channels: int, width: float) -> int:
 
 
 def quaternion_head(*widths: int) -> nn.Sequential:
-    """Fully connected layers through `widths` to a quaternion minus the identity."""
+    """Make fully connected layers through `widths` to a quaternion minus the identity."""
     return nn.Sequential(point_layers(widths), zero_linear(widths[-1], 4))
 
 
