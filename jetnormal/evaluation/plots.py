@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jetnormal.errors import InputError, ResourceError
-from jetnormal.formats.atomic import atomic_write
+from jetnormal.formats.atomic import atomic_write, make_folder
 from jetnormal.formats.pcpnet import shape_of
 from jetnormal.support.extras import advice
 from jetnormal.support.report import progress
@@ -57,10 +57,7 @@ def write_plots(
     from jetnormal.evaluation.curves import draw_good_points, draw_z_angles
     from jetnormal.evaluation.heatmaps import draw_heatmaps
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be created ({error.strerror}); choose another one") from error
+    make_folder(folder)
     shapes: dict[str, list[str]] = {}
     for name, category in evaluation.clouds.items():
         shapes.setdefault(shape_of(name, category), []).append(name)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from jetnormal._version import __version__
 from jetnormal.errors import InputError, ResourceError
-from jetnormal.formats.atomic import atomic_write
+from jetnormal.formats.atomic import atomic_write, make_folder
 from jetnormal.formats.npz import load_arrays
 from jetnormal.support.report import logger
 
@@ -47,12 +47,7 @@ class ResultStore:
         Raises:
             InputError: it cannot be created.
         """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{folder}: cannot be created ({error.strerror}); choose another folder for `results`"
-            ) from error
+        make_folder(folder)
         self._folder = folder
 
     def path(self, cloud: str, facts: dict[str, Any]) -> Path:

@@ -91,6 +91,18 @@ def _writing_failed(path: Path, error: OSError) -> InputError:
     return InputError(f"{path}: cannot be written ({error.strerror or error}); {advice}")
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it, unless it is there.
+
+    Raises:
+        InputError: it cannot be created.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be created ({error.strerror or error}); choose another folder") from error
+
+
 @contextmanager
 def atomic_folder(path: Path, replaceable: Collection[str] = ()) -> Iterator[Path]:
     """Make a temporary folder beside `path` that takes its name when the block ends without an exception.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from jetnormal.cloud import check_coordinates
 from jetnormal.errors import InputError
 from jetnormal.formats import read
-from jetnormal.formats.atomic import atomic_write
+from jetnormal.formats.atomic import atomic_write, make_folder
 
 TEST_LIST = "testset_all.txt"
 LIST_PREFIX = "testset_"
@@ -190,10 +190,7 @@ def write_normals(path: Path, normals: NDArray[np.floating[Any]], *, overwrite: 
     Raises:
         InputError: the file cannot be written, or exists and may not be overwritten.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path.parent}: cannot be created ({error.strerror}); choose another folder") from error
+    make_folder(path.parent)
     with atomic_write(path, overwrite=overwrite) as stream:
         np.savetxt(stream, normals, fmt="%.6f")
 

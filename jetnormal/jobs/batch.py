@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from jetnormal import formats
-from jetnormal.errors import InputError, JetnormalError, ResourceError, UsageError, is_out_of_memory
+from jetnormal.errors import JetnormalError, ResourceError, UsageError, is_out_of_memory
+from jetnormal.formats.atomic import make_folder
 from jetnormal.jobs.estimate import run_file
 from jetnormal.jobs.files import check_file
 from jetnormal.jobs.memory import room_for_tiles
@@ -50,7 +51,7 @@ def estimate_files(
 
     Raises:
         UsageError: two sources would be written to one file, or options contradict each other.
-        InputError: the folder cannot be made, or a target cannot be written.
+        InputError: the folder cannot be created, or a target cannot be written.
         ModelError, ResourceError: as `jetnormal.estimate`.
     """
     if overwrite and batch.skip_existing:
@@ -59,7 +60,7 @@ def estimate_files(
     _check_names(sources, targets)
     skipped = [target for target in targets if batch.skip_existing and _size(target) is not None]
     todo = [(source, target) for source, target in zip(sources, targets, strict=True) if target not in skipped]
-    _make_folder(folder)
+    make_folder(folder)
     for _, target in todo:
         check_file(target, files, overwrite=overwrite)
     timer = StageTimer()
@@ -118,13 +119,6 @@ def _size(path: Path) -> int | None:
         return path.stat().st_size
     except OSError:
         return None
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: the folder cannot be made ({error.strerror or error})") from error
 
 
 def _run(

@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from jetnormal.errors import InputError, ModelError, UsageError
-from jetnormal.formats.atomic import atomic_write
+from jetnormal.formats.atomic import atomic_write, make_folder
 from jetnormal.networks.checkpoint import load_tensors, save_model, save_tensors
 from jetnormal.networks.packaged import resolve
 from jetnormal.support.report import logger
@@ -149,10 +149,7 @@ class Run:
         self._check_free(config)
         if initial:
             self._take_over(resolve(initial))
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{self.folder}: cannot be created ({error.strerror}); choose another folder") from error
+        make_folder(self.folder)
         self._acquire()
         self._check_free(config)  # once more: another process may have trained here in the meantime
         self.metrics.clear()

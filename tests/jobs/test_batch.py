@@ -99,7 +99,7 @@ def test_results_have_names_of_their_own(scans, tmp_path):
     with pytest.raises(UsageError, match="would both become"):
         estimate_files([scans[0], other], tmp_path / "out", OPTIONS)
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="the folder cannot be made"):
+    with pytest.raises(InputError, match="file: cannot be created"):
         estimate_files(scans, tmp_path / "file", OPTIONS)
     with pytest.raises(UsageError, match="not a path"):
         BatchOptions(suffix="a/b")

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from jetnormal.errors import ResourceError
-from jetnormal.support import open3d_loader as _open3d
+from jetnormal.support import open3d_loader
 
 
 @pytest.fixture
@@ -23,16 +23,16 @@ def failing_import(monkeypatch):
         return real(name, *arguments, **options)
 
     monkeypatch.setattr(builtins, "__import__", import_or_fail)
-    _open3d._load.cache_clear()
+    open3d_loader._load.cache_clear()
     yield messages
-    _open3d._load.cache_clear()
+    open3d_loader._load.cache_clear()
 
 
 def test_missing_libraries_are_named(failing_import):
     failing_import += ["libGL.so.1: cannot open shared object file"] * 2
-    assert _open3d.import_open3d() is None
+    assert open3d_loader.import_open3d() is None
     with pytest.raises(ResourceError) as raised:
-        _open3d.require_open3d("draws meshes")
+        open3d_loader.require_open3d("draws meshes")
     message = str(raised.value)
     assert "\n" not in message
     for word in ("draws meshes", "libGL.so.1", "libusb-1.0-0", "libgl1", "libegl1"):
@@ -42,20 +42,20 @@ def test_missing_libraries_are_named(failing_import):
 
 def test_a_missing_package_names_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    _open3d._load.cache_clear()
+    open3d_loader._load.cache_clear()
     with pytest.raises(ResourceError, match=r"casts rays, but it is not installed: pip install 'jetnormal\[mesh\]'"):
-        _open3d.require_open3d("casts rays")
-    _open3d._load.cache_clear()
+        open3d_loader.require_open3d("casts rays")
+    open3d_loader._load.cache_clear()
 
 
 def test_missing_libusb_is_taken_from_the_package(failing_import, monkeypatch):
     loaded = []
-    monkeypatch.setattr(_open3d.ctypes, "CDLL", lambda path, mode: loaded.append((path, mode)))
+    monkeypatch.setattr(open3d_loader.ctypes, "CDLL", lambda path, mode: loaded.append((path, mode)))
     failing_import += ["libusb-1.0.so.0: cannot open shared object file", "libGL.so.1: no such file"]
-    assert _open3d.import_open3d() is None
-    assert [mode for _, mode in loaded] == [_open3d.ctypes.RTLD_GLOBAL]
+    assert open3d_loader.import_open3d() is None
+    assert [mode for _, mode in loaded] == [open3d_loader.ctypes.RTLD_GLOBAL]
     with pytest.raises(ResourceError, match=r"libGL\.so\.1"):  # the reason of the second try, not of the first
-        _open3d.require_open3d("draws meshes")
+        open3d_loader.require_open3d("draws meshes")
     assert failing_import == []
 
 
@@ -71,6 +71,6 @@ def test_the_web_viewer_stays_off_and_the_environment_as_it_was(monkeypatch):
     monkeypatch.delenv("OPEN3D_DISABLE_WEB_VISUALIZER", raising=False)
     monkeypatch.setattr(builtins, "__import__", note)
     with contextlib.suppress(ImportError):
-        _open3d._import()
+        open3d_loader._import()
     assert seen[0] == "true"
     assert "OPEN3D_DISABLE_WEB_VISUALIZER" not in os.environ

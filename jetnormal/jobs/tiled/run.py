@@ -101,7 +101,7 @@ def _find_folder(folder: Path, resume: bool) -> None:
 
     Raises:
         UsageError: there is nothing to be resumed.
-        InputError: the folder cannot be made.
+        InputError: the folder cannot be created.
     """
     if folder.is_dir() and Store(folder).read_json(JOB) is not None:
         return
@@ -110,7 +110,7 @@ def _find_folder(folder: Path, resume: bool) -> None:
     try:
         folder.mkdir(exist_ok=folder.is_dir() and all(path.name == LOCK for path in folder.iterdir()))
     except OSError as error:
-        raise InputError(f"{folder}: the folder of the tiles cannot be made ({error.strerror or error})") from error
+        raise InputError(f"{folder}: the folder of the tiles cannot be created ({error.strerror or error})") from error
 
 
 @contextmanager
