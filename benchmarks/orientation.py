@@ -126,7 +126,7 @@ def open3d_plane(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def measure(method: str, file: Path) -> dict[str, float]:
-    """Chooses signs in this process, after a small cloud that pays for the imports."""
+    """Choose signs in this process, after a small cloud that pays for the imports."""
     from jetnormal.geometry.metrics import oriented_accuracy
     from jetnormal.orientation.policy import orient
 
@@ -146,7 +146,7 @@ def measure(method: str, file: Path) -> dict[str, float]:
 
 
 def attempt(method: str, file: Path, limit: float) -> dict[str, float] | None:
-    """Measures Open3D in a child process; None if that crashes or takes too long."""
+    """Measure a method, Open3D in a child process; None if that crashes or takes too long."""
     if method != "open3d":
         return measure(method, file)
     command = [sys.executable, __file__, str(file), "--one", method]
@@ -156,6 +156,18 @@ def attempt(method: str, file: Path, limit: float) -> dict[str, float] | None:
         print(f"{file.stem}, {method}: {type(error).__name__}", file=sys.stderr)
         return None
     return json.loads(output.splitlines()[-1])
+
+
+def attempts(
+    name: str, methods: list[str], cloud: Cloud, normals: np.ndarray, limit: float
+) -> Iterator[tuple[str, dict[str, float] | None]]:
+    """Yield each method with what it reaches on a cloud whose normals were estimated."""
+    points, true, labeled = cloud
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"{name}.npz"
+        np.savez(file, points=points, normals=normals, true=true, labeled=labeled)
+        for method in methods:
+            yield method, attempt(method, file, limit)
 
 
 def scrambled(normals: np.ndarray) -> np.ndarray:
@@ -216,22 +228,18 @@ def main() -> None:
         rows = []
         clouds = folder_clouds(arguments.folder, arguments.list) if arguments.folder else made_clouds()
         for name, category, (points, true, labeled) in clouds:
+            about = {"model": model, "cloud": name, "category": category}
             mine = [row for row in known if (row["model"], row["cloud"]) == (model, name) and row["method"] in methods]
             rows += mine
             missing = [method for method in methods if method not in [row["method"] for row in mine]]
             if not missing:
                 continue
             normals = scrambled(true if estimator is None else estimator(points).normals)
-            with tempfile.TemporaryDirectory() as folder:
-                file = Path(folder) / f"{name}.npz"
-                np.savez(file, points=points, normals=normals, true=true, labeled=labeled)
-                for method in missing:
-                    result = attempt(method, file, arguments.limit)
-                    row = {"model": model, "cloud": name, "category": category, "method": method, "result": result}
-                    rows.append(row)
-                    if arguments.results:
-                        with arguments.results.open("a") as stream:
-                            stream.write(json.dumps(row) + "\n")
+            for method, result in attempts(name, missing, (points, true, labeled), normals, arguments.limit):
+                rows.append(about | {"method": method, "result": result})
+                if arguments.results:
+                    with arguments.results.open("a") as stream:
+                        stream.write(json.dumps(rows[-1]) + "\n")
         print_table(model, rows)
 
 

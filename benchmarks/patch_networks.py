@@ -26,7 +26,7 @@ PRODUCTS = {"aten::addmm", "aten::baddbmm", "aten::bmm", "aten::linear", "aten::
 
 
 class Recorder(TorchDispatchMode):
-    """Keeps every matrix product of a forward pass, ready to run again."""
+    """The matrix products of a forward pass, ready to run again."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -55,7 +55,7 @@ def open3d_normals(points: np.ndarray, k: int) -> np.ndarray:
 
 
 def measure(model: str, count: int, repeats: int) -> dict[str, float]:
-    """Runs one model in this process: median seconds, RMSE in degrees, peak memory in MB."""
+    """Run one model in this process; return its median seconds, RMSE in degrees, peak memory in MB."""
     from jetnormal.estimators.factory import make_estimator
     from jetnormal.geometry.metrics import angles, rmse
     from jetnormal.support.report import peak_memory_mb
