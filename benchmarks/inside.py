@@ -1,6 +1,6 @@
 """Signs of scans from inside (rooms, streets) and of objects, by "auto": right or wrong, with and without a warning.
 
-    python benchmarks/inside.py [--scenes 8] [--objects 30] [--meshes FOLDER] > benchmarks/results/inside.md
+    python benchmarks/inside.py [--scenes 8] [--objects 30] [--meshes FOLDER]
     python benchmarks/inside.py --fit --seed 1 --scenes 40 --objects 100
 
 Scenes and objects are drawn at random and scanned by all virtual scanners; objects are sampled, too. Some clouds are

@@ -10,6 +10,7 @@ import warnings
 
 import numpy as np
 import pytest
+from shapes import sphere
 
 import jetnormal
 from jetnormal import Cloud, EstimateOptions, Estimator, JetnormalWarning, Mesh, ReconstructOptions, Result, api
@@ -21,17 +22,12 @@ from jetnormal.jobs.options import NormalOptions
 from jetnormal.support.open3d_loader import import_open3d
 
 
-def sphere(count: int = 600) -> np.ndarray:
-    normals = np.random.default_rng(0).normal(size=(count, 3))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
-
-
 def test_an_estimator_gives_all_there_is_to_know():
-    points = np.r_[2 * sphere(), [[np.nan] * 3]]
+    points = np.r_[2 * sphere(600), [[np.nan] * 3]]
     with pytest.warns(JetnormalWarning, match="no finite coordinates"):
         result = Estimator("jet", k=40)(points)
     assert isinstance(result, Result) and result.model == "jet:k=40,order=2" and result.orient == "global"
-    assert angles(result.normals[:-1], sphere(), oriented=True).max() < 5
+    assert angles(result.normals[:-1], sphere(600), oriented=True).max() < 5
     assert np.median(result.curvatures[:-1]) == pytest.approx(-0.5, rel=0.1)
     assert result.valid.sum() == 600 and not result.valid[-1]
     assert np.nanmin(result.confidence) > 0.8 and np.nanmin(result.sign_confidence) > 0
@@ -52,14 +48,14 @@ def counted(monkeypatch) -> list[NormalOptions]:
 def test_an_estimator_loads_its_model_once(monkeypatch):
     loads = counted(monkeypatch)
     est = Estimator("cloudfit", threads=1)
-    first, second = est(sphere()), est(sphere())
+    first, second = est(sphere(600)), est(sphere(600))
     assert len(loads) == 1 and np.array_equal(first.normals, second.normals)
 
 
 def test_an_estimator_can_be_sent_to_another_process():
     est = Estimator("jet", k=20, viewpoint=(0, 0, 9.0))
     again = pickle.loads(pickle.dumps(est))
-    assert again == est and np.array_equal(again(sphere()).normals, est(sphere()).normals)
+    assert again == est and np.array_equal(again(sphere(600)).normals, est(sphere(600)).normals)
 
 
 def test_a_model_is_a_name_or_a_path_and_no_network(tmp_path):
@@ -69,7 +65,7 @@ def test_a_model_is_a_name_or_a_path_and_no_network(tmp_path):
     with pytest.raises(
         UsageError, match=r"`model` is a name or the path of a model file, not a PatchFit; `estimate` and"
     ):
-        jetnormal.estimate(sphere(), model=jetnormal.load_model("deepfit-small"))
+        jetnormal.estimate(sphere(600), model=jetnormal.load_model("deepfit-small"))
 
 
 def test_estimate_keeps_its_model_until_the_file_changes(monkeypatch, tmp_path):
@@ -89,28 +85,28 @@ def test_estimate_keeps_its_model_until_the_file_changes(monkeypatch, tmp_path):
 def test_the_viewpoint_may_change_from_call_to_call():
     est = Estimator("pca")
     for viewpoint in ([0, 0, 0], np.array([0, 0, 0.0])):
-        inward = est(sphere(), viewpoint=viewpoint)
+        inward = est(sphere(600), viewpoint=viewpoint)
         assert (
             inward.orient == "viewpoint"
             and inward.reason == "the viewpoint was given"
-            and ((inward.normals * sphere()).sum(axis=1) < 0).all()
+            and ((inward.normals * sphere(600)).sum(axis=1) < 0).all()
         )
-    outward = est(sphere())
+    outward = est(sphere(600))
     assert outward.orient == "global" and outward.reason == "its surfaces are closed"
 
 
 def test_results_have_the_shape_of_the_points():
-    points = sphere().reshape(20, 30, 3)
+    points = sphere(600).reshape(20, 30, 3)
     result = Estimator("jet")(points)
     assert result.normals.shape == (20, 30, 3) and result.confidence.shape == (20, 30)
     assert result.curvatures.shape == (20, 30, 2)
     normals = jetnormal.estimate(points, model="jet")
     assert normals.dtype == np.float64 and np.array_equal(normals, result.normals)
-    assert jetnormal.estimate(sphere().tolist(), model="jet").shape == (600, 3)
+    assert jetnormal.estimate(sphere(600).tolist(), model="jet").shape == (600, 3)
 
 
 def test_a_path_becomes_a_cloud(tmp_path):
-    jetnormal.write(Cloud(sphere()), tmp_path / "in.ply")
+    jetnormal.write(Cloud(sphere(600)), tmp_path / "in.ply")
     for path in (tmp_path / "in.ply", str(tmp_path / "in.ply")):
         found = jetnormal.estimate(path, model="pca", confidence=True)
         assert isinstance(found, Cloud) and set(found.attributes) == {"confidence"}
@@ -118,10 +114,10 @@ def test_a_path_becomes_a_cloud(tmp_path):
 
 def test_an_open3d_cloud_comes_back_as_one():
     open3d = import_open3d() or pytest.skip("Open3D cannot be loaded")
-    points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(sphere()))
+    points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(sphere(600)))
     found = jetnormal.estimate(points, model="jet")
     assert isinstance(found, open3d.geometry.PointCloud)
-    assert np.allclose(np.asarray(found.normals), jetnormal.estimate(sphere(), model="jet"))
+    assert np.allclose(np.asarray(found.normals), jetnormal.estimate(sphere(600), model="jet"))
     tensor = open3d.t.geometry.PointCloud.from_legacy(points)
     found = jetnormal.estimate(tensor, model="jet", curvature=True, confidence=True)
     assert {"normals", "curvature", "confidence"} <= set(found.point) and "normals" not in tensor.point
@@ -130,7 +126,7 @@ def test_an_open3d_cloud_comes_back_as_one():
 @pytest.mark.parametrize("option", ["curvature", "confidence", "sign_confidence"])
 def test_attributes_of_plain_points_are_refused_not_dropped(option):
     with pytest.raises(UsageError, match=f"`{option}` is an attribute of a cloud"):
-        jetnormal.estimate(sphere(), **{"model": "jet", option: True})
+        jetnormal.estimate(sphere(600), **{"model": "jet", option: True})
 
 
 def test_warnings_name_the_line_of_the_caller():
@@ -138,7 +134,7 @@ def test_warnings_name_the_line_of_the_caller():
     calls = [
         lambda: jetnormal.estimate(collinear, model="pca"),
         lambda: Estimator("pca")(collinear),
-        lambda: jetnormal.reconstruct(Cloud(sphere(), 7 * sphere()), depth=5),
+        lambda: jetnormal.reconstruct(Cloud(sphere(600), 7 * sphere(600)), depth=5),
     ]
     for call in calls[: 2 if import_open3d() is None else 3]:
         with warnings.catch_warnings(record=True) as caught:
@@ -182,7 +178,7 @@ def test_signatures_and_help_tell_every_option(function, kind):
 
 def test_a_misspelt_option_is_answered_with_the_right_one():
     with pytest.raises(TypeError, match=r"estimate\(\) has no option 'modle'; did you mean model\?"):
-        jetnormal.estimate(sphere(), modle="jet")
+        jetnormal.estimate(sphere(600), modle="jet")
     with pytest.raises(TypeError, match="thread"):
         Estimator("jet", thread=1)
 
@@ -198,9 +194,9 @@ def test_options_that_make_no_sense_are_told_by_name(options):
 
 def test_representations_are_short():
     assert repr(Estimator("jet", k=9, threads=1)) == "Estimator(model='jet', k=9, threads=1)"
-    cloud = Cloud(sphere(), sphere(), {"red": np.zeros(600)})
+    cloud = Cloud(sphere(600), sphere(600), {"red": np.zeros(600)})
     assert repr(cloud) == "<Cloud: 600 points with normals and attributes red>"
-    assert repr(Cloud(sphere())) == "<Cloud: 600 points>"
+    assert repr(Cloud(sphere(600))) == "<Cloud: 600 points>"
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]))
     assert repr(mesh) == "<Mesh: 3 vertices, 1 faces>"
 

@@ -12,7 +12,7 @@ from shapes import sphere
 from jetnormal import load_model
 from jetnormal.data.corruption import add_noise
 from jetnormal.data.solids.draw import random_solid
-from jetnormal.estimators import patchwise as estimators
+from jetnormal.estimators import patchwise
 from jetnormal.estimators.factory import make_estimator
 from jetnormal.geometry.metrics import angles, rmse
 from jetnormal.jobs.options import DEFAULT_MODEL
@@ -69,7 +69,7 @@ def test_iternet_is_packaged_and_beats_a_plane():
 def test_bfloat16_products_leave_the_accuracy_alone(monkeypatch):
     errors = []
     for bfloat16 in (False, True):
-        monkeypatch.setattr(estimators, "multiplies_bfloat16", lambda _, known=bfloat16: known)
+        monkeypatch.setattr(patchwise, "multiplies_bfloat16", lambda _, known=bfloat16: known)
         errors.append(error.__wrapped__("deepfit-small", 1.25e-3))
     assert errors[0] != errors[1] and abs(errors[0] - errors[1]) < 0.05
 

@@ -12,8 +12,8 @@ from jetnormal.errors import InputError, UsageError
 from jetnormal.formats.meshes import read_mesh, write_mesh
 from jetnormal.jobs.options import ReconstructOptions
 from jetnormal.jobs.reconstruct import _fitting_depth, reconstruct_file
-from jetnormal.meshing import cleanup as surface
 from jetnormal.meshing import poisson
+from jetnormal.meshing.cleanup import is_watertight
 from jetnormal.support.open3d_loader import import_open3d
 
 pytestmark = pytest.mark.skipif(import_open3d() is None, reason="Open3D cannot be loaded")
@@ -23,7 +23,7 @@ UTM = np.array([456_789.0, 5_432_109.0, 321.0])
 
 @pytest.fixture(autouse=True)
 def solver_in_this_process(monkeypatch):
-    """Save a second per mesh: tests/geometry/test_poisson.py and the command line's tests have the child."""
+    """Save a second per mesh: tests/meshing/test_poisson.py and the command line's tests have the child."""
     monkeypatch.setattr(poisson, "_run", poisson._work)
 
 
@@ -39,7 +39,7 @@ def enclosed(mesh: jetnormal.Mesh) -> float:
 
 def test_a_sphere_without_normals_becomes_a_closed_mesh_wound_outward():
     mesh = reconstruct(sphere(2000), model="jet", depth=5)
-    assert surface.is_watertight(mesh)
+    assert is_watertight(mesh)
     assert enclosed(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.02)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max() < 0.02
 
@@ -54,7 +54,7 @@ def test_large_coordinates_lose_nothing():
 
 def test_an_open_surface_is_cut_where_its_points_end():
     mesh = reconstruct(Cloud(cap(), cap()), depth=6)
-    assert not surface.is_watertight(mesh)
+    assert not is_watertight(mesh)
     assert -0.25 < mesh.vertices[:, 2].min() < 0.01
     assert np.linalg.norm(mesh.area_vectors(), axis=1).sum() == pytest.approx(2 * np.pi, rel=0.15)
 

@@ -128,7 +128,7 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bytes(tmp_path, tasks):
     assert not resumed.exists()
     with pytest.raises(UsageError, match="go on with `resume`"):
         in_tiles(source, resumed)
-    with pytest.raises(UsageError, match="made with another options"):
+    with pytest.raises(UsageError, match="tiles of other options"):
         in_tiles(source, resumed, EstimateOptions("jet:k=30"), resume=True)
     in_tiles(source, resumed, resume=True)
     assert resumed.read_bytes() == whole.read_bytes()
@@ -154,7 +154,7 @@ def test_what_is_resumed_must_be_there_and_of_this_input(tmp_path, monkeypatch, 
         in_tiles(source, target, resume=True)
     assert sorted(path.name for path in folder.iterdir()) == left
     write(sphere_cloud(4000), source, overwrite=True)
-    with pytest.raises(UsageError, match="made with another input"):
+    with pytest.raises(UsageError, match="tiles of other input"):
         in_tiles(source, target, resume=True)
     (folder / "job.json").write_text("{")
     with pytest.raises(InputError, match=r"job\.json: damaged .* start anew"):

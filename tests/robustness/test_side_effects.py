@@ -7,9 +7,9 @@ import subprocess
 import sys
 import threading
 
-import numpy as np
 import pytest
 import torch
+from shapes import sphere
 
 import jetnormal
 
@@ -29,11 +29,6 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 
 
-def sphere(count: int = 300) -> np.ndarray:
-    points = np.random.default_rng(0).normal(size=(count, 3))
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
 @pytest.mark.parametrize("model", ["cloudfit", "deepfit-small"])
 def test_a_forked_child_estimates_as_its_parent(model):
@@ -49,7 +44,7 @@ def test_an_estimate_leaves_threads_and_random_numbers_alone(model):
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        jetnormal.estimate(sphere(), model=model)
+        jetnormal.estimate(sphere(300), model=model)
         other = threading.Thread(target=lambda: threads.append(torch.get_num_threads()))
         other.start()
         other.join()

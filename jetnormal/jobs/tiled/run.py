@@ -235,7 +235,7 @@ def _open_store(folder: Path, identity: dict[str, Any], resume: bool) -> Store:
         changed = [key for key in identity if known.get(key) != identity[key]]
         if changed:
             raise UsageError(
-                f"{folder}: was made with another {' and '.join(changed)}; remove it, or leave `resume` out"
+                f"{folder}: holds tiles of other {' and '.join(changed)}; remove it, or leave `resume` out"
             )
     return store
 
