@@ -71,7 +71,9 @@ def train(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Train a network from clouds with known normals, from meshes, or from procedural solids.
+    """Train a network on clouds with known normals.
+
+    They come from a folder in PCPNet's layout, from meshes, or from procedural solids.
 
     A recipe is a TOML file, or the name of a packaged one: cloudfit; deepfit, adafit and graphfit, each as
     -paper (with the paper's two additions), -baseline (without them) and -small (narrow, for a CPU); and pcpnet-paper,
