@@ -23,7 +23,7 @@ from jetnormal.jobs.prediction import predict, prepare_estimator, turned_curvatu
 from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 
 if TYPE_CHECKING:
-    from jetnormal.orientation.policy import Decision
+    from jetnormal.orientation.decision import Decision
 
 
 @dataclass(frozen=True, repr=False)

@@ -13,7 +13,7 @@ from jetnormal.errors import InputError, ResourceError
 from jetnormal.estimators.blocks import bytes_of, bytes_together, core_that_fits
 from jetnormal.formats import CloudStream
 from jetnormal.jobs.options import LargeOptions, ReadOptions
-from jetnormal.orientation.policy import ENOUGH
+from jetnormal.orientation.auto import ENOUGH
 from jetnormal.support.report import logger
 
 SHARE = 0.6  # of the machine's memory

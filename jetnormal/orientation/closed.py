@@ -21,9 +21,9 @@ MIN_SEEN = 0.04  # of the full votes, for a component; less comes through holes 
 OPEN_PURITY = 0.5  # |sum| over sum of a region's votes: nearly 1 on closed surfaces, 0.3 on a hemisphere
 # Votes over couplings, if all agree. Couplings that do not contradict each other are hardly ever wrong, while a third
 # of the votes are where scanners left holes: then votes only say which of the two solutions is outward. Where
-# couplings do contradict each other, or noise hides which side of a thin part a point is on, both count alike.
-SURE_WEIGHT, DOUBTFUL_WEIGHT = 0.001, 1.0
-CONTRADICTION = 1e-3  # share of the couplings that the others contradict
+# couplings are wrong as often as votes, or noise hides which side of a thin part a point is on, both count alike.
+LEAST_WEIGHT, MOST_WEIGHT = 0.001, 1.0
+FEWEST_WRONG = 3e-3  # share of the votes; what is fewer does not make them surer
 DROWNED = 0.25  # roughness over spacing
 
 
@@ -67,18 +67,29 @@ def weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Float
     scale = parts.by_component(strength) / 2 / np.where(total > 0, total, 1)
     scale[scale == 0] = 1
     told = votes.outward * (np.abs(votes.outward) / np.where(votes.total > 0, votes.total, 1)) ** 2 * scale[parts.owner]
-    belief = relax(parts.coupling, SURE_WEIGHT * told)
-    signs = np.where(belief < 0, -1.0, 1.0)
-    denied = parts.by_component((strength - signs * (parts.coupling @ signs)) / 2)
-    noisy = drowned(surface, parts)
-    doubtful = (denied > CONTRADICTION * parts.by_component(strength)) | noisy
-    told *= np.where(doubtful, DOUBTFUL_WEIGHT, SURE_WEIGHT)[parts.owner]
-    belief = relax(parts.coupling, told)
+    weight, noisy = _weight(parts, told, strength), drowned(surface, parts)
+    belief = relax(parts.coupling, told * np.where(noisy, MOST_WEIGHT, weight)[parts.owner])
     for c in np.flatnonzero(noisy & ~is_open & ~parts.speck):
         mine, rows = np.flatnonzero(parts.owner == c), np.flatnonzero(parts.component == c)
         region, coupling = np.searchsorted(mine, parts.region[rows]), parts.coupling[mine][:, mine]
-        belief[mine] = settle_by_winding(surface, rows, region, coupling, told[mine], belief[mine])
+        found, whole = settle_by_winding(surface, rows, region, coupling, told[mine], belief[mine])
+        belief[mine] = found if whole or weight[c] >= MOST_WEIGHT else relax(coupling, weight[c] * told[mine])
     return belief
+
+
+def _weight(parts: Parts, told: Floats, strength: Floats) -> Floats:
+    """How much votes (M,) should count over couplings, of which each region has so much (M,), by component (C,).
+
+    By couplings alone, with the votes to choose between their two solutions, a share of each turns out to be wrong.
+    The ratio of these shares is the weight: what is wrong more often counts less.
+    """
+    signs = np.where(relax(parts.coupling, LEAST_WEIGHT * told) < 0, -1.0, 1.0)
+    wrong_couplings = parts.by_component((strength - signs * (parts.coupling @ signs)) / 2)
+    wrong_votes = parts.by_component(np.abs(told) * (signs * told < 0))
+    of_couplings, of_votes = parts.by_component(strength), parts.by_component(np.abs(told))
+    couplings = wrong_couplings / np.where(of_couplings > 0, of_couplings, 1)
+    votes = wrong_votes / np.where(of_votes > 0, of_votes, 1) + FEWEST_WRONG
+    return np.clip(couplings / votes, LEAST_WEIGHT, MOST_WEIGHT)
 
 
 def drowned(surface: Surface, parts: Parts) -> Bools:

@@ -101,10 +101,10 @@ def find_evidence(points: Floats, normals: Floats, open_share: float) -> Evidenc
         normals: (N, 3) unit vectors of any sign; 0 where there is no direction.
         open_share: of the points that lie on surfaces without an outside (`methods.Orientation`).
     """
-    drawn = _drawn(points, normals)
-    if drawn is None:
+    samples = _drawn(points, normals)
+    if samples is None:
         return None
-    even = drawn.taken(drawn_evenly(drawn.spacing, KEPT))
+    drawn, even = samples
     hull = Hull(even.points)
     if hull.flat:
         return None
@@ -144,8 +144,12 @@ class _Sample:
         return _Sample(self.points[rows], self.normals[rows], self.spacing[rows], self.part[rows])
 
 
-def _drawn(points: Floats, normals: Floats) -> _Sample | None:
-    """Draw points with a direction, in random order, none of them strays, in a frame that turns with the cloud."""
+def _drawn(points: Floats, normals: Floats) -> tuple[_Sample, _Sample] | None:
+    """Draw points with a direction, none of them strays, in a frame that turns with the cloud.
+
+    Returns:
+        Points in random order, as dense as they are, and some of them that are about as dense everywhere.
+    """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -164,9 +168,10 @@ def _drawn(points: Floats, normals: Floats) -> _Sample | None:
     spacing = distances[:, -1]
     near = spacing <= STRAY_RADII * np.quantile(spacing, 0.9)
     points, normals, spacing, part = points[near], normals[near], spacing[near], part[near]
-    even = points[drawn_evenly(spacing, KEPT)]
-    frame = principal_axes(even)
-    return _Sample((points - np.median(even, axis=0)) @ frame, normals @ frame, spacing, part)
+    even = drawn_evenly(spacing, KEPT)
+    frame = principal_axes(points[even])
+    drawn = _Sample((points - np.median(points[even], axis=0)) @ frame, normals @ frame, spacing, part)
+    return drawn, drawn.taken(even)
 
 
 def _places_around(points: Floats) -> Floats:

@@ -32,12 +32,15 @@ MAX_REGIONS = 4096  # with winding numbers; of more, the smaller follow their co
 LEAST_SHARE = 0.5  # of the points, in these
 ROUNDS, TOLERANCE = 4, 1e-3  # wrong signs make the mean wrong, and with it the areas
 LEAST_MEAN = 0.1  # winding number of a surface that is mostly right
+# Share of the points with positive winding numbers: 0.993 or more of noisy solids and plates, 0.95 to 0.989 of noisy
+# scans with missing surface, of whose signs these numbers made up to 55 % wrong.
+POSITIVE = 0.99
 
 
 def settle_by_winding(
     surface: Surface, rows: Ints, region: Ints, coupling: Any, told: Floats, belief: Floats
-) -> Floats:
-    """Find signs of the regions of a closed component (M,), -1 to 1, so that winding numbers are 1/2 on all of them.
+) -> tuple[Floats, bool]:
+    """Find signs of the regions of a closed component so that winding numbers are 1/2 on all of them.
 
     Of more than `MAX_REGIONS`, only the largest have winding numbers.
 
@@ -48,6 +51,10 @@ def settle_by_winding(
         coupling: sparse (M, M), how far regions agree.
         told: (M,) votes for the regions, as for `agreement.relax`.
         belief: (M,) signs, more right than wrong; by their mean winding number, noise makes areas look too large.
+
+    Returns:
+        The signs (M,), -1 to 1, and whether winding numbers are positive nearly everywhere then: where much of a
+        surface is missing, they are not, whatever the signs.
     """
     sizes = np.bincount(region)
     among = np.sort(np.argsort(-sizes, kind="stable")[:MAX_REGIONS])
@@ -55,18 +62,24 @@ def settle_by_winding(
     number[among] = np.arange(len(among))
     held = number[region] >= 0
     if held.sum() < LEAST_SHARE * len(rows):
-        return belief
+        return belief, True
     weight = np.asarray(WEIGHT * float(abs(coupling).sum()) / len(rows) * sizes[among], dtype=np.float64)
     rows, region, sizes = rows[held], number[region[held]], sizes[among]
     with threadpool_limits(1, "blas"):  # whose sums depend on the number of threads
         windings = winding_matrix(surface.points[rows], surface.normals[rows], surface.spacing[rows] ** 2, region)
         for _ in range(ROUNDS):
-            mean = float(sizes @ (windings @ np.sign(belief[among]).astype(np.float32))) / len(rows)
+            mean = float(sizes @ _windings(windings, belief[among])) / len(rows)
             if mean < LEAST_MEAN:
                 break
             demand = LeastSquares(windings, weight * (ON_SURFACE / mean) ** 2, mean, among, len(number))
             belief = relax(coupling, told, demand, tolerance=TOLERANCE)
-    return belief
+        positive = float(sizes @ (_windings(windings, belief[among]) > 0)) / len(rows)
+    return belief, positive >= POSITIVE
+
+
+def _windings(windings: NDArray[np.float32], belief: Floats) -> NDArray[np.float32]:
+    """The winding number in each region (M,)."""
+    return np.asarray(windings @ np.sign(belief).astype(np.float32))
 
 
 def winding_matrix(points: Floats, normals: Floats, areas: Floats, region: Ints) -> NDArray[np.float32]:

@@ -24,7 +24,7 @@ from jetnormal.jobs.memory import Room
 from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions
 from jetnormal.jobs.tiled import thinning
 from jetnormal.jobs.tiled.run import estimate_in_tiles
-from jetnormal.orientation import policy
+from jetnormal.orientation import auto
 
 JET = EstimateOptions("jet:k=20,order=2", confidence=True, curvature=True, sign_confidence=True)
 TILE = 1200
@@ -215,7 +215,7 @@ def test_an_output_that_is_written_again_gets_the_signs_of_its_own_cloud(tmp_pat
 
 def test_signs_of_many_points_are_decided_by_the_same_part(tmp_path, monkeypatch):
     """A shallow bowl, whose openness and borders depend on how dense it is: tiles and the whole are thinned alike."""
-    for module in (policy, thinning):
+    for module in (auto, thinning):
         monkeypatch.setattr(module, "ENOUGH", 1500)
     points = sphere_cloud(12_000).points
     points = points[points[:, 2] < -0.3]

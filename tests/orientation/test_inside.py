@@ -9,7 +9,7 @@ from solids import box, drilled_block, joined, ring, scrambled, sphere
 
 from jetnormal.cloud import Source
 from jetnormal.geometry.metrics import oriented_accuracy
-from jetnormal.orientation import policy
+from jetnormal.orientation.decision import RATHER
 from jetnormal.orientation.inside import Evidence, find_evidence
 from jetnormal.orientation.methods import choose_signs
 from jetnormal.orientation.places import Hull, drawn_evenly, look_from
@@ -74,7 +74,7 @@ def test_the_doubt_is_in_the_warning_and_in_the_confidence(scanned_room, monkeyp
     inward, decision = settle(points, scrambled(normals), "auto", None, Source())
     assert decision.used == "inside" and "80%" in decision.warnings()[0] and len(decision.warnings()) == 1
     assert inward.confidence.max() <= 0.81
-    monkeypatch.setattr(Evidence, "probability", policy.RATHER - 0.01)
+    monkeypatch.setattr(Evidence, "probability", RATHER - 0.01)
     outward, decision = settle(points, scrambled(normals), "auto", None, Source())
     assert decision.used == "global" and "viewpoint" in decision.warnings()[0] and len(decision.warnings()) == 1
     assert outward.confidence.max() <= 1.01 - decision.inside

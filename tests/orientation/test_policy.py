@@ -14,7 +14,7 @@ from jetnormal.geometry.metrics import oriented_accuracy
 from jetnormal.geometry.vectors import unit
 from jetnormal.jobs.estimate import estimate_file
 from jetnormal.jobs.options import EstimateOptions
-from jetnormal.orientation import policy
+from jetnormal.orientation import auto
 from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.grazing import GRAZING
 from jetnormal.orientation.policy import find_sensors, orient, settle
@@ -229,7 +229,7 @@ def test_the_public_call_decides_as_estimate_does():
 
 def test_many_points_are_decided_by_a_part(monkeypatch):
     """With copies, lengths, and rows without a point or a direction; the signs that come in do not matter."""
-    monkeypatch.setattr(policy, "ENOUGH", 1000)
+    monkeypatch.setattr(auto, "ENOUGH", 1000)
     points = np.concatenate([sphere(6000), sphere(6000)[:50]])
     normals = np.random.default_rng(1).uniform(0.5, 2, (len(points), 1)) * points
     points[7], normals[8] = np.nan, 0

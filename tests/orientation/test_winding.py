@@ -83,14 +83,27 @@ def settled_plate():
 
 
 def test_a_side_of_a_plate_that_neighbors_turn_the_wrong_way_is_turned_back():
-    np.testing.assert_array_equal(settled_plate() < 0, [False] * 4 + [True] * 2 + [False] * 2 + [True])
+    np.testing.assert_array_equal(settled_plate()[0] < 0, [False] * 4 + [True] * 2 + [False] * 2 + [True])
+
+
+def test_a_surface_of_which_a_side_is_missing_is_not_whole():
+    """Half of a wave's crests and troughs have the wrong winding number, whichever side is outward."""
+    x, y = np.random.default_rng(0).uniform(0, 4 * np.pi, (2, 8000))
+    points = np.stack([x, y, np.sin(x)], axis=1)
+    normals = np.stack([-np.cos(x), np.zeros(len(x)), np.ones(len(x))], axis=1)
+    surface = Surface(points, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    region = (x // (np.pi / 2)).astype(np.int32)
+    chain = csr_matrix((np.ones(7), (np.arange(7), np.arange(1, 8))), (8, 8))
+    arguments = surface, np.arange(len(points)), region, chain + chain.T, np.full(8, 0.1), np.ones(8)
+    assert not settle_by_winding(*arguments)[1]
+    assert settled_plate()[1]
 
 
 def test_regions_beyond_the_largest_follow_their_couplings(monkeypatch):
     monkeypatch.setattr("jetnormal.orientation.winding.MAX_REGIONS", 8)
-    np.testing.assert_array_equal(settled_plate() < 0, [False] * 4 + [True] * 2 + [False] * 2 + [True])
+    np.testing.assert_array_equal(settled_plate()[0] < 0, [False] * 4 + [True] * 2 + [False] * 2 + [True])
     monkeypatch.setattr("jetnormal.orientation.winding.MAX_REGIONS", 3)  # these hold too few of the points
-    np.testing.assert_array_equal(settled_plate(), np.ones(9))
+    np.testing.assert_array_equal(settled_plate()[0], np.ones(9))
 
 
 @pytest.mark.parametrize("method", ["global", "mst"])

@@ -18,7 +18,7 @@ from jetnormal.jobs.prediction import turned_curvatures
 from jetnormal.jobs.tiled.plan import Plan
 from jetnormal.jobs.tiled.store import FOUND, SIGNED, Store
 from jetnormal.jobs.tiled.work import FIND, SIGN
-from jetnormal.orientation.policy import Decision
+from jetnormal.orientation.decision import Decision
 from jetnormal.support.report import progress
 
 

@@ -27,7 +27,8 @@ from jetnormal.jobs.tiled.plan import Plan, distribute
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.jobs.tiled.thinning import settle_signs
 from jetnormal.jobs.tiled.work import FIND, SIGN, run_task, signs_are_local
-from jetnormal.orientation.policy import Decision, find_sensors
+from jetnormal.orientation.decision import Decision
+from jetnormal.orientation.policy import find_sensors
 from jetnormal.support.report import StageTimer, logger, peak_memory_mb, progress
 
 JOB, ROOM, LOCK = "job", "room", ".lock"

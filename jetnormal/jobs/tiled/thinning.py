@@ -17,7 +17,9 @@ from jetnormal.jobs.options import EstimateOptions
 from jetnormal.jobs.tiled.plan import Plan
 from jetnormal.jobs.tiled.store import Store
 from jetnormal.jobs.tiled.work import FIND, THINNED
-from jetnormal.orientation.policy import ENOUGH, Decision, settle
+from jetnormal.orientation.auto import ENOUGH
+from jetnormal.orientation.decision import Decision
+from jetnormal.orientation.policy import settle
 
 DECISION = "decision"
 
