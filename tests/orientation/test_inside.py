@@ -132,6 +132,15 @@ def test_points_are_drawn_evenly_and_strays_never():
     assert dense[rows].mean() == pytest.approx(0.1, abs=0.03)
 
 
+def test_the_wall_of_a_cavity_is_enclosed_and_what_stands_in_a_room_is_not(scanned_room):
+    rng = np.random.default_rng(7)
+    outer, cavity = sphere(rng, 6000), sphere(rng, 3000, 0.6)
+    found = find_evidence(*joined([outer, (cavity[0], -cavity[1])]), 0.0)
+    assert found.enclosed > 0.99
+    assert find_evidence(*scanned_room, 0.0).enclosed < 0.01
+    assert find_evidence(*outer, 0.0).enclosed == 0
+
+
 def shells(rng):
     directions = even_sphere(9000)
     radii = np.where(np.arange(9000) % 3 == 0, 0.6, 1.0)
