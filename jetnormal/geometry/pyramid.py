@@ -26,9 +26,10 @@ LEAST_GROWTH = 0.1  # of the scale from level to level
 AVERAGED = 8  # neighbors whose mean is the position of a point of the next level
 LINE = 0.12  # ratio of the middle to the largest variance of the neighbors, below which they lie in a line
 SAME = 0.02  # of the scale: points nearer than that are one place
-_Found = tuple[NDArray[np.int32], NDArray[np.float64]]  # neighbors and their distances, (n, 16) each
 PASSES = 4  # of thinning, at most: each leaves about a fifth of a line
 LEAST_EVEN = 256  # points: a cloud is not thinned below
+
+_Found = tuple[NDArray[np.int32], NDArray[np.float64]]  # neighbors and their distances, (n, 16) each
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def build_pyramid(points: NDArray[np.float64], levels: int, threads: int | None 
 
 
 def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.int64], NeighborIndex, _Found, Moments]:
-    """Leaves points out where samples lie in lines or nearly coincide.
+    """Leave points out where samples lie in lines or nearly coincide.
 
     A point whose neighbors lie in a line must not have another of the thinned cloud among its six nearest, and
     any point none nearer than SAME. A pass shortens the line that the neighbors make up to fivefold, so that

@@ -39,12 +39,12 @@ class Surface:
 
     @classmethod
     def of(cls, neighborhood: Neighborhood) -> Surface:
-        """Points with the normals of their neighbors' planes."""
+        """Give points the normals of their neighbors' planes."""
         scale = neighborhood.scale
         return cls(neighborhood, neighborhood.normals, scale, np.log(scale)).turned(neighborhood.normals)
 
     def turned(self, normals: F32) -> Surface:
-        """The same points with other normals."""
+        """Give the same points other normals."""
         sign = np.tanh(3 * np.einsum("ij,ij->i", normals, self.neighborhood.centroid))
         return replace(self, normals=normals, sign=sign)
 
@@ -62,7 +62,7 @@ class Edges:
     unit: F32
 
     def features(self, rows: slice) -> F32:
-        """(n, k, 12) invariants of the edges to some rows; see `layers.connect`."""
+        """Compute the (n, k, 12) invariants of the edges to some rows; see `layers.connect`."""
         shape, other = self.to.neighborhood, self.sender.neighborhood
         own = (shape.positions, self.to.normals, shape.centroid, self.to.sign, self.to.log_scale, self.unit)
         others = (other.positions, self.sender.normals, other.centroid, self.sender.sign, self.sender.log_scale)
@@ -107,7 +107,7 @@ class Inference:
 
     @classmethod
     def load(cls, path: Path) -> Inference:
-        """A network from a model file.
+        """Load a network from a model file.
 
         Raises:
             ModelError: the file is missing, damaged, or holds another network.
