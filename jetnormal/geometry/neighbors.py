@@ -18,6 +18,7 @@ from jetnormal.support.device import available_cores
 CHUNK_ENTRIES = 2_000_000  # candidates held at a time: about 100 MB of working memory
 FEW = 1000  # queries that one thread answers sooner than several
 TIE_TOLERANCE = 1e-12  # relative; covers rounding
+DISK = 8  # neighbors tell how dense the points around one are
 COLLINEAR = 1e-12  # ratio of variances below which points count as collinear: a millionth in width
 
 
@@ -142,6 +143,17 @@ def distinct(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np
     copy_of = np.empty(len(points), dtype=np.int64)
     copy_of[order] = np.cumsum(starts) - 1
     return order[starts], copy_of
+
+
+def typical_spacing(points: NDArray[np.float64]) -> float:
+    """Estimate the distance between neighboring points (N, 3), N >= 1, as if they were a regular grid on the surface.
+
+    A disk that reaches to the k-th neighbor holds k grid cells: pi r^2 = k s^2. The result is the median of s, 0 for
+    one point.
+    """
+    k = min(DISK, len(points) - 1)
+    _, distances = NeighborIndex(points).query(points, k + 1)
+    return float(np.median(distances[:, -1])) * float(np.sqrt(np.pi / max(1, k)))
 
 
 def spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:

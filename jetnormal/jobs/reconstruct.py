@@ -203,7 +203,8 @@ def _fitting_depth(points: NDArray[np.float64], scale: float, is_frame: bool) ->
     and bumps of a depth camera as scales. In a frame of such a camera the noise grows with the distance, and that of
     the farther surfaces counts.
     """
-    from jetnormal.meshing.cleanup import noise, typical_spacing
+    from jetnormal.geometry.neighbors import typical_spacing
+    from jetnormal.meshing.cleanup import noise
 
     cell = max(typical_spacing(points), NOISE_CELLS * noise(points, FRAME_NOISE if is_frame else 0.5))
     return int(np.clip(np.ceil(np.log2(scale / cell)), *DEPTHS))

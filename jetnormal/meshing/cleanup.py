@@ -26,16 +26,6 @@ SPECK_SHARE = 0.002  # or one that a smaller share of all points does
 MERGE_DISTANCE = 1e-9  # of the size of the mesh: vertices as close as this are one
 
 
-def typical_spacing(points: Floats) -> float:
-    """Estimate the distance between neighboring points (N, 3), N >= 2, as if they were a regular grid on the surface.
-
-    A disk that reaches to the k-th neighbor holds k grid cells: pi r^2 = k s^2. The result is the median of s.
-    """
-    k = min(SUPPORT_NEIGHBORS, len(points) - 1)
-    _, distances = NeighborIndex(points).query(points, k + 1)
-    return float(np.median(distances[:, -1])) * float(np.sqrt(np.pi / k))
-
-
 def noise(points: Floats, quantile: float) -> float:
     """Measure how far points (N, 3), N > 7, are off a smooth surface: off a quadric through their neighbors.
 

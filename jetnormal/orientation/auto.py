@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import Source
+from jetnormal.geometry.vectors import unit
 from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.decision import RATHER, SUSPECT, Decision, decided
 from jetnormal.orientation.methods import Orientation, choose_signs
@@ -54,8 +55,8 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
         reason = "its surfaces look as if a camera at the origin had taken them"
         return orientation, decided(orientation, "auto", "origin", reason)
     seen = mostly_open and view is not None and view.certain
-    inside = inside_probability(points, _unit(orientation.normals), open_share)
-    if not seen and (mostly_open or inside < SUSPECT) and is_terrain(points, _unit(normals)):
+    inside = inside_probability(points, unit(orientation.normals), open_share)
+    if not seen and (mostly_open or inside < SUSPECT) and is_terrain(points, unit(normals)):
         orientation = choose_signs(points, normals, "terrain")
         return orientation, decided(orientation, "auto", "terrain", "the cloud is wide, flat and mostly level")
     if mostly_open and source.viewpoint is not None and _one_sided(points, orientation):
@@ -107,7 +108,7 @@ def _by_part(points: Floats, normals: NDArray[Any], source: Source, copies: bool
     from jetnormal.geometry.thinning import least, ranks
     from jetnormal.orientation.carrying import Thinned, carry_in_blocks
 
-    directions = _unit(normals).astype(np.float32)
+    directions = unit(normals).astype(np.float32)
     rows = np.flatnonzero(np.isfinite(points).all(axis=1) & directions.any(axis=1))
     first, copy_of = distinct(points[rows]) if copies else (np.arange(len(rows)),) * 2
     if len(first) < len(points):
@@ -144,11 +145,3 @@ def _towards_origin(points: Floats, orientation: Orientation) -> Orientation:
         normals=np.where(away[:, None], -orientation.normals, orientation.normals),
         confidence=np.where(orientation.open, probability(cosine, "sight"), orientation.confidence).astype(np.float32),
     )
-
-
-def _unit(normals: NDArray[Any]) -> Floats:
-    """Unit vectors (N, 3); 0 where there is no direction."""
-    with np.errstate(invalid="ignore"):
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-    usable = np.isfinite(length) & (length > 0)
-    return np.divide(normals, length, out=np.zeros(normals.shape), where=usable)

@@ -20,15 +20,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.geometry.neighbors import NeighborIndex, distinct
+from jetnormal.geometry.neighbors import DISK, NeighborIndex, distinct, typical_spacing
 from jetnormal.geometry.parts import far_apart
 from jetnormal.orientation.places import (
-    DISC,
     STRAY_RADII,
     Hull,
     drawn_evenly,
     principal_axes,
-    typical_spacing,
 )
 from jetnormal.orientation.visibility import PIXEL_SPACINGS, below_topmost, directions
 
@@ -168,8 +166,8 @@ def _drawn(points: Floats, normals: Floats) -> tuple[_Sample, _Sample] | None:
     if len(together) < MIN_POINTS:
         return None
     points, normals = points[rows[together]], normals[rows[together]]
-    neighbors, distances = NeighborIndex(points).query(points, DISC + 1)
-    graph = csr_matrix((np.ones(neighbors.size), neighbors.ravel(), np.arange(len(points) + 1) * (DISC + 1)))
+    neighbors, distances = NeighborIndex(points).query(points, DISK + 1)
+    graph = csr_matrix((np.ones(neighbors.size), neighbors.ravel(), np.arange(len(points) + 1) * (DISK + 1)))
     part = connected_components(graph, directed=False)[1]
     if np.bincount(part).max() < CONNECTED * len(rows):
         return None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.geometry.neighbors import NeighborIndex, typical_spacing
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -24,7 +24,6 @@ OFF_HULL = 0.02  # of the hull's size: places on its faces are not inside
 SIDE = 14  # pixels along the side of a picture; six pictures show all that is around a place
 SLACK = 0.3  # of a pixel's width: a point this far behind the nearest one of its pixel is still seen
 MIN_COSINE = 0.1  # a look along the surface shows nothing
-DISC = 8  # points around one tell how dense they are
 
 
 def drawn_evenly(spacing: Floats, count: int) -> Ints:
@@ -142,10 +141,3 @@ def seen_from_inside(points: Floats, normals: Floats, places: Floats) -> tuple[F
     spacing = typical_spacing(points)
     cosines = np.stack([look_from(place, points, normals, spacing) for place in places])
     return cosines.sum(axis=0), np.abs(cosines).sum(axis=0)
-
-
-def typical_spacing(points: Floats) -> float:
-    """Find the distance between neighbors on a flat surface as dense as the median point."""
-    count = min(DISC + 1, len(points))
-    radius = NeighborIndex(points).query(points, count)[1][:, -1]
-    return float(np.median(radius)) * float(np.sqrt(np.pi / max(1, count - 1)))

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.geometry.vectors import unit
 from jetnormal.orientation.agreement import Surface, chunks, relax
 from jetnormal.orientation.parts import Parts
 from jetnormal.orientation.visibility import along, below_topmost
@@ -25,6 +26,7 @@ from jetnormal.orientation.visibility import along, below_topmost
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+Z = (0.0, 0.0, 1.0)  # where there is no direction
 ROUNDS = 20
 AXIS_WEIGHT = 0.1  # of the votes for the axis, over the couplings
 AVERTED_WEIGHT = 5.0  # of surface that looks away from the axis: a view has none
@@ -112,7 +114,7 @@ def as_seen(surface: Surface, parts: Parts, among: Bools) -> View:
         signs = np.where(belief < 0, -1.0, 1.0)[parts.region]
         cosine = signs * along(surface.normals, axis)
         weight = signs * area * np.where(cosine < LEAST_COSINE, AVERTED_WEIGHT, 1)
-        before, axis = axis, _unit((surface.normals * weight[:, None]).sum(axis=0))
+        before, axis = axis, unit((surface.normals * weight[:, None]).sum(axis=0), Z)
         if float((axis * before).sum()) > 0.9999:
             break
     belief = _facing(surface, parts, area, axis)
@@ -127,7 +129,7 @@ def _largest_side(surface: Surface, parts: Parts, area: Floats) -> Floats:
     start = np.array([0.48, 0.36, 0.8])  # any direction will do; this one is along no axis of a drawing
     signs = np.where(_facing(surface, parts, area, start, 1e-3) < 0, -1.0, 1.0)[parts.region]
     largest = parts.component == np.argmax(np.bincount(parts.component, area))
-    return _unit((surface.normals * (signs * area * largest)[:, None]).sum(axis=0))
+    return unit((surface.normals * (signs * area * largest)[:, None]).sum(axis=0), Z)
 
 
 def _facing(surface: Surface, parts: Parts, area: Floats, axis: Floats, weight: float = AXIS_WEIGHT) -> Floats:
@@ -157,8 +159,3 @@ def _hidden(surface: Surface, axis: Floats, area: Floats) -> float:
     slack = BEHIND * pixel * (1 + np.sqrt(1 - cosine**2) / cosine)
     behind = below_topmost(surface.points[rows], axis, pixel) > slack
     return float(area[rows[behind]].sum() / area.sum())
-
-
-def _unit(vector: Floats) -> Floats:
-    length = float(np.linalg.norm(vector))
-    return vector / length if length > 0 else np.array([0.0, 0.0, 1.0])

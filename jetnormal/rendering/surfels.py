@@ -106,8 +106,7 @@ def _splat(scene: Scene, camera: Camera) -> Surfels:
 
 def spacing(points: NDArray[np.float64]) -> float:
     """Estimate the distance between neighbors among points (N, 3); 1 if all are one point."""
-    from jetnormal.geometry.neighbors import distinct
-    from jetnormal.meshing.cleanup import typical_spacing
+    from jetnormal.geometry.neighbors import distinct, typical_spacing
 
     kept = points[distinct(points)[0]]
     return typical_spacing(kept) if len(kept) > 1 else 1.0

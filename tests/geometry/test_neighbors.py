@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jetnormal.geometry import neighbors
-from jetnormal.geometry.neighbors import NeighborIndex
+from jetnormal.geometry.neighbors import NeighborIndex, typical_spacing
 
 
 def brute_force(points, queries, k):
@@ -91,3 +91,10 @@ def test_a_point_far_away_takes_no_digit_from_the_others():
     expected, _ = NeighborIndex(points).query(points, 8)
     found, _ = NeighborIndex(with_outlier).query(points, 8)
     assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize("count", [11, 40])
+def test_the_spacing_of_a_grid_is_found(count):
+    axis = np.linspace(0, 1, count)
+    grid = np.stack([*np.meshgrid(axis, axis), np.zeros((count, count))], axis=-1).reshape(-1, 3)
+    assert typical_spacing(grid) == pytest.approx(1 / (count - 1), rel=0.15)

@@ -106,11 +106,6 @@ def test_uneven_density_is_no_gap():
     assert cleanup.gap_share(mesh, cleanup.remoteness(mesh.vertices, points)) < cleanup.OPEN_SHARE
 
 
-@pytest.mark.parametrize("count", [11, 40])
-def test_the_spacing_of_a_grid_is_found(count):
-    assert cleanup.typical_spacing(grid(count).vertices) == pytest.approx(1 / (count - 1), rel=0.15)
-
-
 def test_values_are_carried_exactly_at_points_and_between_them_within_their_range():
     points = grid(11).vertices
     values = points[:, :1] * 2
