@@ -51,6 +51,11 @@ class JetnormalWarning(UserWarning):
     """What a user of the library should know about a result; `warnings.filterwarnings` silences it by this class."""
 
 
+def unreadable(path: object, error: OSError) -> InputError:
+    """Return the error of a file that the system does not let be read."""
+    return InputError(f"{path}: cannot be read ({error.strerror or error}); check the path")
+
+
 def is_out_of_memory(error: BaseException) -> bool:
     """Tell whether an error of Python, the system or a library is about memory.
 

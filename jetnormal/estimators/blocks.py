@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from jetnormal.estimators.base import Prediction, joined, scattered
 from jetnormal.geometry.blocks import CORE, HALO_SHARE, SPACING_NEIGHBORS, TOGETHER, blocks
-from jetnormal.geometry.neighbors import spatial_order
+from jetnormal.geometry.neighbors import inverse_order, spatial_order
 
 BYTES = 1200  # of memory for each point that is looked at, at the peak
 UNEVEN = 2.0  # how much farther apart than the median the points of a part of a block may be
@@ -66,16 +66,9 @@ def _block(
 ) -> Prediction:
     """The prediction for queries (Q,), rows of the points (n, 3) of a block."""
     near = spatial_order(points)
-    asked = _inverse(near)[queries]
+    asked = inverse_order(near)[queries]
     order = np.argsort(asked, kind="stable")
-    return joined(estimate(points[near], asked[order]))[_inverse(order)]
-
-
-def _inverse(permutation: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The permutation (n,) that undoes this one: `np.argsort` of it, but quicker."""
-    inverse = np.empty_like(permutation)
-    inverse[permutation] = np.arange(len(permutation))
-    return inverse
+    return joined(estimate(points[near], asked[order]))[inverse_order(order)]
 
 
 def radius_of(neighbors: int) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal._version import __version__
-from jetnormal.errors import InputError, ResourceError
+from jetnormal.errors import InputError, ResourceError, unreadable
 from jetnormal.formats.atomic import atomic_write, make_folder
 from jetnormal.formats.npz import load_arrays
 from jetnormal.support.report import logger
@@ -91,5 +91,5 @@ def digest(*paths: Path) -> str:
         try:
             found.update(hashlib.sha256(path.read_bytes()).digest())
         except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+            raise unreadable(path, error) from error
     return found.hexdigest()

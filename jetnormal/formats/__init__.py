@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import AT_ORIGIN, Cloud, Source
-from jetnormal.errors import InputError, ResourceError, UsageError
+from jetnormal.errors import InputError, ResourceError, UsageError, unreadable
 from jetnormal.formats import atomic
 from jetnormal.formats.registry import Format, all_formats, find_format, suffixes
 from jetnormal.formats.streams import CloudStream, RowWriter
@@ -70,7 +70,7 @@ def read(
         with _as_file(path) as file:
             return known.read(file, **options)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+        raise unreadable(path, error) from error
     except MemoryError as error:
         raise ResourceError(f"{path}: does not fit into memory; split the file or use a larger machine") from error
 
@@ -121,7 +121,7 @@ def open_stream(
     try:
         return known.stream(path, **options)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+        raise unreadable(path, error) from error
 
 
 def write_pieces(

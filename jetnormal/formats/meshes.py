@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from jetnormal.errors import InputError, ResourceError
+from jetnormal.errors import InputError, ResourceError, unreadable
 from jetnormal.formats import atomic
 from jetnormal.formats.mesh_readers import OFFSET, READERS, to_light, to_y_up
 from jetnormal.mesh import Mesh
@@ -40,7 +40,7 @@ def read_mesh(path: str | PathLike[str]) -> Mesh:
     try:
         mesh = READERS[suffix](path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+        raise unreadable(path, error) from error
     except MemoryError as error:
         raise ResourceError(f"{path}: does not fit into memory; use a smaller mesh") from error
     vertices, faces = mesh.vertices, mesh.faces

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import check_coordinates
-from jetnormal.errors import InputError
+from jetnormal.errors import InputError, unreadable
 from jetnormal.formats import read
 from jetnormal.formats.atomic import atomic_write, make_folder
 
@@ -212,7 +212,7 @@ def query_count(directory: Path, name: str, all_points: bool = False) -> int:
         with path.open("rb") as lines:
             return sum(not line.isspace() for line in lines)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+        raise unreadable(path, error) from error
 
 
 def file_of(directory: Path, name: str, suffix: str) -> Path:

@@ -166,6 +166,13 @@ def spatial_order(points: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.argsort(cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2)), kind="stable")
 
 
+def inverse_order(permutation: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the permutation (n,) that undoes another one, as `np.argsort` of it does, but quicker."""
+    undone = np.empty_like(permutation)
+    undone[permutation] = np.arange(len(permutation))
+    return undone
+
+
 def _checked(values: NDArray[Any], name: str) -> NDArray[np.float64]:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:

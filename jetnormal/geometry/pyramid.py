@@ -145,9 +145,10 @@ def _even(points: NDArray[np.float64], threads: int | None) -> tuple[NDArray[np.
         keep = np.ones(len(kept), dtype=np.bool_)
         _leave_out(neighbors, distances, reach, order, keep)
         kept = kept[keep]
-        index = NeighborIndex(points[kept], threads=threads)
-        neighbors, distances, stale = _without(index, points[kept], keep, neighbors, distances)
-        renewed = moments_of(points[kept[stale]], points[kept], neighbors[stale])
+        remaining = points[kept]
+        index = NeighborIndex(remaining, threads=threads)
+        neighbors, distances, stale = _without(index, remaining, keep, neighbors, distances)
+        renewed = moments_of(remaining[stale], remaining, neighbors[stale])
         scale, normals, variance, centroid = (values[keep] for values in moments)
         for values, new in zip((scale, normals, variance, centroid), renewed, strict=True):
             values[stale] = new

@@ -22,12 +22,7 @@ from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import DISK, NeighborIndex, distinct, typical_spacing
 from jetnormal.geometry.parts import far_apart
-from jetnormal.orientation.places import (
-    STRAY_RADII,
-    Hull,
-    drawn_evenly,
-    principal_axes,
-)
+from jetnormal.orientation.places import STRAY_RADII, Hull, drawn_evenly, principal_axes
 from jetnormal.orientation.visibility import PIXEL_SPACINGS, below_topmost, directions
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jetnormal.geometry.neighbors import distinct, spatial_order
+from jetnormal.geometry.neighbors import distinct, inverse_order, spatial_order
 from jetnormal.orientation.agreement import Surface
 from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.grazing import grazing_flips
@@ -143,7 +143,7 @@ def _spread(points: Floats, normals: Floats, method: Method) -> tuple[Bools, Out
     points -= middle  # far from the origin, projections would be coarse
     first, copy_of = distinct(points)
     order = spatial_order(points[first])  # neighbors are near in memory, too
-    first, copy_of = first[order], np.argsort(order)[copy_of]
+    first, copy_of = first[order], inverse_order(order)[copy_of]
     placed, directed = points[first], normals[first]
     copies = np.setdiff1d(np.arange(len(points)), first, assume_unique=True)
     of_copies = normals[copies]

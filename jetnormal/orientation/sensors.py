@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.cloud import Cloud
-from jetnormal.errors import InputError
+from jetnormal.errors import InputError, unreadable
 
 Floats = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def read_trajectory(path: Path) -> Floats:
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+        raise unreadable(path, error) from error
     rows = []
     for number, line in enumerate(text.splitlines(), 1):
         words = line.replace(",", " ").replace(";", " ").split()

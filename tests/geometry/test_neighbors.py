@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jetnormal.geometry import neighbors
-from jetnormal.geometry.neighbors import NeighborIndex, typical_spacing
+from jetnormal.geometry.neighbors import NeighborIndex, inverse_order, typical_spacing
 
 
 def brute_force(points, queries, k):
@@ -98,3 +98,8 @@ def test_the_spacing_of_a_grid_is_found(count):
     axis = np.linspace(0, 1, count)
     grid = np.stack([*np.meshgrid(axis, axis), np.zeros((count, count))], axis=-1).reshape(-1, 3)
     assert typical_spacing(grid) == pytest.approx(1 / (count - 1), rel=0.15)
+
+
+def test_an_order_is_undone():
+    order = np.random.default_rng(0).permutation(50)
+    np.testing.assert_array_equal(inverse_order(order), np.argsort(order))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from jetnormal.errors import ModelError
+from jetnormal.geometry.neighbors import inverse_order
 from jetnormal.geometry.pyramid import SAME, Level, Neighborhood, Pyramid
 from jetnormal.networks.cloudfit import edge_kernels, vote_kernels
 from jetnormal.networks.cloudfit.config import BALLOTS, FEATURES, CloudFitConfig, check_shapes
@@ -164,7 +165,7 @@ class _Pass:
         confidence = self._confidence(h[0], normals, rough)
         if len(pyramid.left_out):
             carried = self._carry(pyramid.carried, surfaces[0], h[0])
-            place = np.argsort(np.concatenate([pyramid.kept, pyramid.left_out]))
+            place = inverse_order(np.concatenate([pyramid.kept, pyramid.left_out]))
             kept = (normals, rough, confidence)
             normals, rough, confidence = (np.concatenate(pair)[place] for pair in zip(kept, carried, strict=True))
         return Found(normals, rough, confidence, [surface.normals for surface in surfaces])

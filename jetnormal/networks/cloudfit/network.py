@@ -22,6 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from jetnormal.geometry.neighbors import inverse_order
 from jetnormal.geometry.pyramid import SAME, Neighborhood, Pyramid
 from jetnormal.networks.cloudfit.config import NODE_FEATURES, CloudFitConfig
 from jetnormal.networks.cloudfit.layers import EdgeConv, Edges, Nodes, ZDirection, connect
@@ -116,7 +117,7 @@ class CloudFit(nn.Module):
         if len(pyramid.left_out):
             late, late_rough, late_confidence = self._carry(pyramid.carried, nodes[0], h[0])
             directions.append((late, self._tensor(pyramid.left_out)))
-            place = self._tensor(np.argsort(np.concatenate([pyramid.kept, pyramid.left_out])))
+            place = self._tensor(inverse_order(np.concatenate([pyramid.kept, pyramid.left_out])))
             pairs = ((normals, late), (rough, late_rough), (confidence, late_confidence))
             normals, rough, confidence = (torch.cat(pair)[place] for pair in pairs)
         return CloudPrediction(normals, rough, confidence, directions, nodes)
