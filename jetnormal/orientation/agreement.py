@@ -162,9 +162,7 @@ def regions(surface: Surface) -> tuple[Bools, Labels]:
     """
     points, radius, neighbors = surface.points, surface.radius, surface.neighbors
     order = surest_first(points, surface.edges, radius, neighbors, REGION_AGREEMENT, LENGTH_WEIGHT, BUCKETS)
-    root = np.arange(len(points))
-    flips = np.zeros(len(root), dtype=np.bool_)
-    join_edges(order, neighbors, surface.edges, REGION_POINTS, np.ones_like(root), root, flips)
+    root, flips = join_edges(order, neighbors, surface.edges, REGION_POINTS)
     return flips, np.unique(root, return_inverse=True)[1].astype(np.int32)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jetnormal.orientation.agreement import Labels, Surface, chunks
-from jetnormal.orientation.kernels.fields import add_dipoles, read_grid
+from jetnormal.orientation.kernels.fields import add_dipoles, add_falls
 from jetnormal.support.device import available_cores
 
 Floats = NDArray[np.float64]
@@ -22,9 +22,10 @@ NOISY_SHARE = 0.01  # of an object's points; fewer are at edges
 STRAY_RADII = 5.0  # neighborhood radius, over the median of an object
 CELL_SPACINGS = 1.0  # side of the field's cells
 MAX_CELL_SPACINGS = 4.0  # a coarser field knows less than the neighbors
-MIN_CELLS, MAX_CELLS = 16, 256  # along the field's side
+MIN_CELLS, MAX_CELLS = 18, 256  # along the field's side
 CELLS_PER_POINT = 40.0
 ROUNDS = 4
+BORDER = 3  # cells around the points' box: charges are a cell beside their points, and spread over the next
 MARGIN = 1.3  # side of the periodic box over the largest extent of the points
 SMOOTHING = 0.7  # standard deviation, in cells, of the Gaussian that hides the grid
 
@@ -63,7 +64,7 @@ def _field_strength(surface: Surface, rows: Ints, noisy: NDArray[np.bool_]) -> F
     asked = np.flatnonzero(noisy & (surface.spacing[rows] * MAX_CELL_SPACINGS > field.cell))
     for _ in range(ROUNDS if len(asked) else 0):  # of a cloud of many millions, the field knows less than the neighbors
         field.solve(surface.normals, surface.spacing, strength)
-        drop = np.concatenate([field.drop(surface.normals, rows[asked[part]]) for part in chunks(len(asked))])
+        drop = field.drop(surface.normals, rows[asked])
         scale = np.median(np.abs(drop))
         strength[asked] = np.clip(drop / scale, -1, 1) if scale > 0 else 1
     return strength
@@ -83,37 +84,36 @@ class DipoleField:
         low = np.min([points[part].min(axis=0) for part in parts], axis=0)
         high = np.max([points[part].max(axis=0) for part in parts], axis=0)
         extent = float((high - low).max())
-        cells = _cells(extent, float(np.median(spacing[rows])), len(rows))
-        self.cell = extent * MARGIN / cells
-        self._corner = (low + high) / 2 - self.cell * cells / 2
+        self._cells = _cells(extent, float(np.median(spacing[rows])), len(rows))
+        self.cell = extent * MARGIN / self._cells
+        # Around the box of the points, there are no charges, and nobody asks for the field.
+        around = (self._cells - (high - low) / self.cell) / 2
+        self._shape = self._cells - 2 * np.maximum(around.astype(np.int64) - BORDER, 0)
+        self._corner = (low + high) / 2 - self.cell * self._shape / 2
         self._points, self._rows = points, rows
-        self._response = _response(cells) * np.float32(cells**2 / self.cell**2)
-        self._shape = (cells,) * 3
+        self._response = _response(self._cells) * np.float32(self._cells**2 / self.cell**2)
 
     def solve(self, normals: Floats, spacing: Floats, strength: Floats) -> None:
         """Find the field of outward unit normals (N, 3), each times its strength (n,) and its spacing (N,) squared."""
-        from scipy.fft import irfftn, rfftn
+        from scipy.fft import fft, ifft, irfft, rfft
 
-        self._values = np.zeros(self._shape, dtype=np.float32)  # the charges, and then the field: grids are large
-        for part in chunks(len(strength)):
-            rows = self._rows[part]
-            moments = normals[rows] * (strength[part] * spacing[rows] ** 2)[:, None]
-            add_dipoles(self._points[rows], moments, self._corner, self.cell, self._values)
+        cells, (width, depth, height) = self._cells, self._shape
         workers = available_cores()  # the values do not depend on them
-        spectrum = rfftn(self._values, workers=workers)
-        del self._values
+        values = np.zeros(self._shape, dtype=np.float32)
+        moments = strength * spacing[self._rows] ** 2
+        add_dipoles(self._points, normals, self._rows, moments, self._corner, self.cell, values)
+        spectrum = fft(rfft(values, cells, axis=2, workers=workers), cells, axis=1, workers=workers)
+        spectrum = fft(spectrum, cells, axis=0, workers=workers)
         spectrum *= self._response
-        self._values = irfftn(spectrum, s=self._shape, workers=workers, overwrite_x=True)
-        self._values -= self._values[0, 0, 0]  # a corner is farthest from all points
-
-    def at(self, places: Floats) -> Floats:
-        """The indicator (Q,) at places (Q, 3) in the points' box or near it."""
-        return np.asarray(read_grid(places, self._corner, self.cell, self._values))
+        spectrum = ifft(spectrum, axis=0, workers=workers, overwrite_x=True)[:width]
+        spectrum = ifft(spectrum, axis=1, workers=workers)[:, :depth]
+        self._values = np.ascontiguousarray(irfft(spectrum, cells, axis=2, workers=workers)[:, :, :height])
 
     def drop(self, normals: Floats, rows: Ints) -> Floats:
         """How far the indicator falls across some points (Q,) along their normals, among all (N, 3), over two cells."""
-        points, normals = self._points[rows], normals[rows]
-        return self.at(points - normals * self.cell) - self.at(points + normals * self.cell)
+        result = np.zeros(len(rows))
+        add_falls(self._points, normals, rows, self._corner, self.cell, self._values, result)
+        return result
 
 
 def _cells(extent: float, spacing: float, points: int) -> int:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from jetnormal.orientation.agreement import LeastSquares, Surface, relax
-from jetnormal.orientation.kernels.fields import add_windings
+from jetnormal.orientation.kernels.fields import sum_solid_angles
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,6 +27,7 @@ Ints = NDArray[np.int64]
 ON_SURFACE = 0.5  # winding number
 WEIGHT = 3.0  # of a region's winding number over its couplings; of 1, 3 and 10 the best under high noise
 PLACES = 4  # of a region, whose mean counts
+NEAREST = 1e-12  # over the size of a component: what is nearer to a place counts as so far away
 SOURCE_POINTS, SOURCES = 10, 16_384  # points in a source, or more where there were more sources in all
 MAX_REGIONS = 4096  # with winding numbers; of more, the smaller follow their couplings
 LEAST_SHARE = 0.5  # of the points, in these
@@ -86,24 +87,34 @@ def winding_matrix(points: Floats, normals: Floats, areas: Floats, region: Ints)
     """Find the mean winding number in each region that the points of each other region give it (M, M), 0 for its own.
 
     Args:
-        points, normals: (N, 3).
+        points, normals: (N, 3), N >= 2.
         areas: (N,) that the points stand for.
         region: (N,) in [0, M), none empty.
     """
     order = np.argsort(region, kind="stable")
-    points, region, areas = points[order], region[order], areas[order]
+    size = float(np.ptp(points, axis=0).max())
+    points, areas = (points[order] - points.mean(axis=0)) / size, areas[order] / size**2  # near 1: float32 is enough
     sizes = np.bincount(region)
-    rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    ends = np.append(0, np.cumsum(sizes))
+    rank = np.arange(len(order)) - np.repeat(ends[:-1], sizes)
     per_source = max(SOURCE_POINTS, -(-len(order) // SOURCES))
     starts = np.flatnonzero(rank % per_source == 0)
     area = np.add.reduceat(areas, starts)
     centers = np.add.reduceat(points * areas[:, None], starts) / area[:, None]
     moments = np.add.reduceat(normals[order] * areas[:, None], starts)
-    size = np.repeat(sizes, sizes)
-    count = np.minimum(PLACES, size)
-    places = np.flatnonzero(rank * count // size != (rank - 1) * count // size)
-    total = np.zeros((len(sizes), len(sizes)), np.float32)
-    add_windings(points[places], region[places], centers, moments, area / 4, region[starts], total)
+    count = np.minimum(PLACES, sizes)
+    per_point, of_region = np.repeat(count, sizes), np.repeat(sizes, sizes)
+    places = np.flatnonzero(rank * per_point // of_region != (rank - 1) * per_point // of_region)
+    total = np.empty((len(sizes), len(sizes)), np.float32)
+    sum_solid_angles(
+        _single(points[places]), np.append(0, np.cumsum(count)), _single(centers.T), _single(moments.T),
+        _single(np.maximum(area / 4, NEAREST**2)), np.searchsorted(starts, ends), np.empty(len(starts), np.float32),
+        total,
+    )  # fmt: skip
     np.fill_diagonal(total, 0)
-    total /= (4 * np.pi * np.bincount(region[places])).astype(np.float32)[:, None]
+    total /= (4 * np.pi * count).astype(np.float32)[:, None]
     return total
+
+
+def _single(values: Floats) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, dtype=np.float32)

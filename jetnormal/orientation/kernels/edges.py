@@ -107,7 +107,8 @@ def surest_first(
     """Find the order of the edges (N, k) of least agreement or more, as rows of the flat array, the surest first.
 
     An edge's doubt is 1 - |agreement|, plus `length_weight` times its length over the radii (N,) of its ends. Edges
-    whose doubts fall into the same one of the buckets keep their order.
+    whose doubts fall into the same one of the buckets keep their order. Of two points that are neighbors of each
+    other, one edge is taken, that of the first.
     """
     bucket, filled = np.empty(edges.size, np.uint16), np.zeros(buckets + 1, np.int64)
     _fill_buckets(points, edges, radius, neighbors, least, length_weight, bucket, filled)
@@ -127,12 +128,15 @@ def _fill_buckets(
     for i in range(len(edges)):
         for place in range(count):
             agreement = abs(float(edges[i, place]))
-            j, squared = neighbors[i, place], 0.0
+            j, squared, taken = neighbors[i, place], 0.0, agreement >= least
             for axis in range(3):
                 squared += (points[j, axis] - points[i, axis]) ** 2
+            if taken and j < i:
+                for back in range(count):
+                    taken &= neighbors[j, back] != i or abs(edges[j, back]) < least
             length = np.sqrt(squared) / (radius[i] + radius[j])
             doubt = 1 - agreement + length_weight * length
-            number = buckets if agreement < least else min(int(max(doubt, 0.0) * scale), buckets - 1)
+            number = min(int(max(doubt, 0.0) * scale), buckets - 1) if taken else buckets
             bucket[i * count + place] = number
             filled[number] += 1
 
@@ -146,41 +150,52 @@ def _sort_by_bucket(bucket: NDArray[np.uint16], start: Ints, order: NDArray[Any]
             start[bucket[edge]] += 1
 
 
-@compiled
-def join_edges(
-    order: NDArray[Any], neighbors: Neighbors, edges: Edges, largest: int, size: Ints, root: Ints, flips: Bools
-) -> None:
+def join_edges(order: NDArray[Any], neighbors: Neighbors, edges: Edges, largest: int) -> tuple[Ints, Bools]:
     """Join the ends of edges to trees of at most `largest` points.
 
-    order (E,): rows of the flat array of edges (N, k), which are negative where the signs of a point and its neighbor
-    (N, k) differ. size (N,): at first 1. root (N,): at first each point itself, at last the root of its tree; flips
-    (N,), at first False: whether a point's sign is opposite to its root's.
+    Args:
+        order: (E,) rows of the flat array of edges (N, k), which are negative where the signs of a point and its
+            neighbor (N, k) differ.
+        neighbors, edges: (N, k).
+        largest: points of a tree.
+
+    Returns:
+        The root of each point's tree (N,), and whether its sign is opposite to its root's (N,).
     """
+    kind = np.int32 if len(edges) < 2**30 else np.int64
+    size = np.ones(len(edges), kind)
+    up: NDArray[Any] = 2 * np.arange(len(edges), dtype=kind)
+    _join_edges(order, neighbors, edges, largest, size, up)
+    return up >> 1, (up & 1).astype(np.bool_)
+
+
+@compiled
+def _climb(up: NDArray[Any], i: Any) -> Any:
+    """The root of i, in the form of `_join_edges`."""
+    top = np.int64(up[i])
+    while up[top >> 1] >> 1 != top >> 1:
+        top = up[top >> 1] ^ (top & 1)
+    return top
+
+
+@compiled
+def _join_edges(
+    order: NDArray[Any], neighbors: Neighbors, edges: Edges, largest: int, size: NDArray[Any], up: NDArray[Any]
+) -> None:
+    """`join_edges`. up (N,): twice the number of a point above each, plus 1 where their signs are opposite; at first
+    twice its own, at last twice its root's. size (N,): at first 1."""
     for number in range(len(order)):
         edge = np.int64(order[number])
         i, place = edge // neighbors.shape[1], edge % neighbors.shape[1]
-        a, odd_a = i, False
-        while root[a] != a:
-            odd_a ^= flips[a]
-            a = root[a]
-        b, odd_b = neighbors[i, place], False
-        while root[b] != b:
-            odd_b ^= flips[b]
-            b = root[b]
-        for end, top, odd in ((i, a, odd_a), (np.int64(neighbors[i, place]), b, odd_b)):
-            if end != top:  # the next climb from here is short
-                root[end], flips[end] = top, odd
+        j = np.int64(neighbors[i, place])
+        one, other = _climb(up, i), _climb(up, j)
+        up[i], up[j] = one, other  # the next climb from here is short
+        a, b = one >> 1, other >> 1
         if a == b or size[a] + size[b] > largest:
             continue
         if size[a] < size[b] or (size[a] == size[b] and b < a):
             a, b = b, a
-        root[b] = a
-        flips[b] = odd_a ^ odd_b ^ (edges[i, place] < 0)
+        up[b] = 2 * a + ((one ^ other ^ (edges[i, place] < 0)) & 1)
         size[a] += size[b]
-    for i in range(len(root)):  # trees are at most as deep as the logarithm of their size
-        a, odd = i, False
-        while root[a] != a:
-            odd ^= flips[a]
-            a = root[a]
-        flips[i] = odd  # a flattened tree: what comes later still climbs through i to a, with the right parity
-        root[i] = a
+    for i in range(len(up)):  # trees are at most as deep as the logarithm of their size
+        up[i] = _climb(up, i)

@@ -10,18 +10,8 @@ from numpy.typing import NDArray
 from jetnormal.support.compiled import compiled
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
-
-
-@compiled
-def solid_angle(places: Floats, q: int, points: Floats, moments: Floats, softening: Floats, i: int) -> Any:
-    """Find the solid angle of the oriented point i, see `solid_angles`, at the place q."""
-    squared, flux = softening[i], 0.0
-    for axis in range(3):
-        step = points[i, axis] - places[q, axis]
-        squared += step * step
-        flux += moments[i, axis] * step
-    return flux / (squared * np.sqrt(squared))
 
 
 def solid_angles(places: Floats, points: Floats, moments: Floats, softening: Floats) -> Floats:
@@ -38,66 +28,93 @@ def solid_angles(places: Floats, points: Floats, moments: Floats, softening: Flo
 def _add_solid_angles(places: Floats, points: Floats, moments: Floats, softening: Floats, result: Floats) -> None:
     for q in range(len(places)):
         for i in range(len(points)):
-            result[q] += solid_angle(places, q, points, moments, softening, i)
+            squared, flux = softening[i], 0.0
+            for axis in range(3):
+                step = points[i, axis] - places[q, axis]
+                squared += step * step
+                flux += moments[i, axis] * step
+            result[q] += flux / (squared * np.sqrt(squared))
 
 
 @compiled
-def add_windings(
-    places: Floats, receiver: Ints, points: Floats, moments: Floats, softening: Floats, sender: Ints, total: Any
-) -> None:
-    """Add the solid angles of oriented points (N, 3), see `solid_angles`, at places (Q, 3) to total (R, S), float32.
+def sum_solid_angles(
+    places: Singles, first: Ints, points: Singles, moments: Singles, softening: Singles, start: Ints, each: Singles,
+    total: Singles,
+) -> None:  # fmt: skip
+    """Sum the solid angles of groups of oriented points, see `solid_angles`, over groups of places.
 
-    receiver (Q,) and sender (N,): the row and the column to which a place and a point belong.
+    Args:
+        places: (Q, 3).
+        first: (R + 1,) where each group of places begins, and its end.
+        points, moments: (3, N).
+        softening: (N,).
+        start: (S + 1,) where each group of points begins, and its end.
+        each: (N,), overwritten.
+        total: (R, S), overwritten: the sums.
     """
-    for q in range(len(places)):
-        for i in range(len(points)):
-            total[receiver[q], sender[i]] += solid_angle(places, q, points, moments, softening, i)
+    for r in range(len(total)):
+        for i in range(len(each)):
+            each[i] = 0
+        for q in range(first[r], first[r + 1]):
+            x, y, z = places[q, 0], places[q, 1], places[q, 2]
+            for i in range(len(each)):
+                to_x, to_y, to_z = points[0, i] - x, points[1, i] - y, points[2, i] - z
+                squared = softening[i] + to_x * to_x + to_y * to_y + to_z * to_z
+                flux = moments[0, i] * to_x + moments[1, i] * to_y + moments[2, i] * to_z
+                each[i] += flux / (squared * np.sqrt(squared))
+        for s in range(len(start) - 1):
+            angle = np.float32(0)
+            for i in range(start[s], start[s + 1]):
+                angle += each[i]
+            total[r, s] = angle
 
 
 @compiled
-def grid_axis(coordinate: float, corner: float, cell: float, cells: int) -> Any:
-    """The two places around a coordinate along one axis of a periodic grid, each with its linear weight."""
+def grid_axis(coordinate: float, corner: float, cell: float) -> Any:
+    """The two places around a coordinate along one axis of a grid, each with its linear weight."""
     position = (coordinate - corner) / cell
     base = np.floor(position)
-    low = np.int64(base) % cells
-    return (low, base + 1 - position), ((low + 1) % cells, position - base)
+    low = np.int64(base)
+    return (low, base + 1 - position), (low + 1, position - base)
 
 
 @compiled
-def add_dipoles(points: Floats, moments: Floats, corner: Floats, cell: float, grid: Any) -> None:
-    """Add charges |m| a cell behind each point (N, 3), seen along its moment m (N, 3), and -|m| as far before it.
+def add_dipoles(
+    points: Floats, normals: Floats, rows: Ints, moments: Floats, corner: Floats, cell: float, grid: Singles
+) -> None:
+    """Add a charge m (n,) a cell behind each of some points (N, 3), seen along its normal (N, 3), and -m as far before.
 
-    Charges are spread over the eight nearest places of a periodic grid (G, G, G), float32, whose first is at `corner`.
+    Charges are spread over the eight nearest places of a grid (X, Y, Z), whose first is at `corner`.
     """
-    for i in range(len(points)):
-        charge = np.sqrt(moments[i, 0] ** 2 + moments[i, 1] ** 2 + moments[i, 2] ** 2)
-        if charge == 0:
-            continue
-        for side in (charge, -charge):
-            step = -cell / side
-            across = grid_axis(points[i, 0] + step * moments[i, 0], corner[0], cell, len(grid))
-            along = grid_axis(points[i, 1] + step * moments[i, 1], corner[1], cell, len(grid))
-            up = grid_axis(points[i, 2] + step * moments[i, 2], corner[2], cell, len(grid))
+    for r in range(len(rows)):
+        i = rows[r]
+        for side in (-1, 1):
+            step = side * cell
+            across = grid_axis(points[i, 0] + step * normals[i, 0], corner[0], cell)
+            along = grid_axis(points[i, 1] + step * normals[i, 1], corner[1], cell)
+            up = grid_axis(points[i, 2] + step * normals[i, 2], corner[2], cell)
             for x, in_x in across:
                 for y, in_y in along:
                     for z, in_z in up:
-                        grid[x, y, z] += side * in_x * in_y * in_z
-
-
-def read_grid(places: Floats, corner: Floats, cell: float, grid: Any) -> Floats:
-    """Interpolate a periodic grid (G, G, G), float32, whose first place is at `corner`, at places (Q, 3)."""
-    result = np.zeros(len(places))
-    _add_grid(places, corner, cell, grid, result)
-    return result
+                        grid[x, y, z] -= side * moments[r] * in_x * in_y * in_z
 
 
 @compiled
-def _add_grid(places: Floats, corner: Floats, cell: float, grid: Any, result: Floats) -> None:
-    for i in range(len(places)):
-        across = grid_axis(places[i, 0], corner[0], cell, len(grid))
-        along = grid_axis(places[i, 1], corner[1], cell, len(grid))
-        up = grid_axis(places[i, 2], corner[2], cell, len(grid))
-        for x, in_x in across:
-            for y, in_y in along:
-                for z, in_z in up:
-                    result[i] += in_x * in_y * in_z * grid[x, y, z]
+def add_falls(
+    points: Floats, normals: Floats, rows: Ints, corner: Floats, cell: float, grid: Singles, result: Floats
+) -> None:
+    """Add how far the values of a grid, see `add_dipoles`, fall across some points along their normals to result (n,).
+
+    They are interpolated a cell behind and a cell before each point.
+    """
+    for r in range(len(rows)):
+        i = rows[r]
+        for side in (-1, 1):
+            step = side * cell
+            across = grid_axis(points[i, 0] + step * normals[i, 0], corner[0], cell)
+            along = grid_axis(points[i, 1] + step * normals[i, 1], corner[1], cell)
+            up = grid_axis(points[i, 2] + step * normals[i, 2], corner[2], cell)
+            for x, in_x in across:
+                for y, in_y in along:
+                    for z, in_z in up:
+                        result[r] -= side * in_x * in_y * in_z * grid[x, y, z]
