@@ -39,7 +39,7 @@ from typing import Any
 
 from jetnormal import evaluate
 from jetnormal.errors import JetnormalError
-from jetnormal.evaluation.protocol import ModelResult
+from jetnormal.evaluation.results import ModelResult
 from jetnormal.formats.atomic import atomic_write
 from jetnormal.support.report import configure_logging, logger
 from jetnormal.training.recipe import Recipe, make_recipe, merged, placed, read_tables

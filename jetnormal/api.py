@@ -33,7 +33,7 @@ from jetnormal.support.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from jetnormal.estimators.base import Estimator as DirectionEstimator
-    from jetnormal.evaluation.protocol import Evaluation
+    from jetnormal.evaluation.results import Evaluation
 
 Path_ = str | PathLike[str]
 P = ParamSpec("P")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from jetnormal.evaluation.protocol import Evaluation, ModelResult
+from jetnormal.evaluation.results import Evaluation, ModelResult
 from jetnormal.evaluation.scores import AUC_LIMIT, THRESHOLDS
 
 TITLES = {

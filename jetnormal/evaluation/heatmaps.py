@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from jetnormal.evaluation.clouds import BenchmarkCloud, read_benchmark_cloud
 from jetnormal.evaluation.curves import TITLES, short
-from jetnormal.evaluation.protocol import Evaluation, ModelResult
+from jetnormal.evaluation.results import Evaluation, ModelResult
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.rendering.camera import Camera, interesting_direction, make_camera
 from jetnormal.rendering.light import develop

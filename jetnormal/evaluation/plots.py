@@ -20,7 +20,7 @@ from jetnormal.support.report import progress
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jetnormal.evaluation.protocol import Evaluation
+    from jetnormal.evaluation.results import Evaluation
 
 
 def check_plots(folder: Path, overwrite: bool, suffix: str = "png") -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import IO
 
-from jetnormal.evaluation.protocol import Evaluation, ModelResult
+from jetnormal.evaluation.results import Evaluation, ModelResult
 from jetnormal.evaluation.scores import AUC_LIMIT, Scores
 
 LATEX = str.maketrans(

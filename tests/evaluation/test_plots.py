@@ -90,7 +90,7 @@ def test_errors_over_the_z_angle_need_a_network(clouds, turned):
 
 
 def test_errors_over_the_z_angle(clouds, monkeypatch, turned):
-    from jetnormal.evaluation import protocol
+    from jetnormal.evaluation import trials
     from jetnormal.evaluation.zangles import ZAngles
 
     def angles(estimator, cloud):
@@ -98,7 +98,7 @@ def test_errors_over_the_z_angle(clouds, monkeypatch, turned):
         rows = np.arange(100)
         return ZAngles(rows, np.where(rows < 50, 12, 32).astype(np.float32), np.full(100, 1, np.float32))
 
-    monkeypatch.setattr(protocol, "measure_z_angles", angles)
+    monkeypatch.setattr(trials, "measure_z_angles", angles)
     figure = draw_z_angles(evaluate(clouds, [turned(4.0, "net")], z_angles=True))
     errors, density = figure.axes
     (line,) = errors.get_lines()
