@@ -55,8 +55,9 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
         reason = "its surfaces look as if a camera at the origin had taken them"
         return orientation, decided(orientation, "auto", "origin", reason)
     seen = mostly_open and view is not None and view.certain
-    inside = inside_probability(points, unit(orientation.normals), open_share)
-    if not seen and (mostly_open or inside < SUSPECT) and is_terrain(points, unit(normals)):
+    directions = unit(orientation.normals)
+    inside = inside_probability(points, directions, open_share)
+    if not seen and (mostly_open or inside < SUSPECT) and is_terrain(points, directions):
         orientation = choose_signs(points, normals, "terrain")
         return orientation, decided(orientation, "auto", "terrain", "the cloud is wide, flat and mostly level")
     if mostly_open and source.viewpoint is not None and _one_sided(points, orientation):

@@ -134,6 +134,18 @@ def test_objects_rooms_and_plates_are_no_terrain():
         assert not is_terrain(*box(rng, 100, (0, 0, 0), (4, 4, height)))
 
 
+def test_a_flat_object_with_a_bottom_is_no_terrain_and_ground_under_trees_is():
+    rng = np.random.default_rng(8)
+    flattened = np.array([1, 0.5, 0.1])
+    points, normals = sphere(1500) * flattened, unit(sphere(1500) / flattened)
+    up = np.where(normals[:, 2:] < 0, -normals, normals)
+    assert is_terrain(points, up) and not is_terrain(points, normals)
+    leaves = rng.uniform((-1, -0.5, -0.1), (1, 0.5, 0.1), (3000, 3))
+    leafy = unit(rng.normal(size=leaves.shape) * [0.3, 0.3, 1])
+    forest, down = np.concatenate([points, leaves]), np.concatenate([normals, leafy])
+    assert is_terrain(forest, down)
+
+
 @pytest.mark.parametrize("turn", [[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 def test_one_view_of_an_object_looks_to_where_it_was_seen_from(turn):
     """A ball in front of a rod, seen along z; whoever sees it from behind sees the same points."""
