@@ -20,10 +20,11 @@ FULL_VOTE = VIEWS / 4  # of a point that all views see from outside
 MIN_SEEN = 0.04  # of the full votes, for a component; less comes through holes between points
 OPEN_PURITY = 0.5  # |sum| over sum of a region's votes: nearly 1 on closed surfaces, 0.3 on a hemisphere
 # Votes over couplings, if all agree. Couplings that do not contradict each other are hardly ever wrong, while a third
-# of the votes are where scanners left holes: then votes only say which of the two solutions is outward. Where
-# couplings are wrong as often as votes, or noise hides which side of a thin part a point is on, both count alike.
-LEAST_WEIGHT, MOST_WEIGHT = 0.001, 1.0
-FEWEST_WRONG = 3e-3  # share of the votes; what is fewer does not make them surer
+# of the votes are where scanners left holes: then votes only say which of the two solutions is outward.
+LEAST_WEIGHT, MOST_WEIGHT = 0.001, 10.0
+NOISY_WEIGHT = 1.0  # to begin with, where noise hides which side of a thin part a point is on; else the least
+FEWEST_WRONG = 1e-3  # share; what is fewer makes nothing surer
+ROUNDS = 3  # for the weight
 DROWNED = 0.25  # roughness over spacing
 
 
@@ -53,8 +54,7 @@ def sum_votes(votes: Votes, parts: Parts) -> Votes:
 
 def _purity(votes: Votes, parts: Parts) -> Floats:
     """How far the views that see a region lie on one side of it (0 to 1), by component (C,)."""
-    total = parts.by_component(votes.total)
-    return parts.by_component(np.abs(votes.outward)) / np.where(total > 0, total, 1)
+    return _share(parts, np.abs(votes.outward), votes.total)
 
 
 def weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Floats:
@@ -67,29 +67,40 @@ def weigh(surface: Surface, votes: Votes, parts: Parts, is_open: Bools) -> Float
     scale = parts.by_component(strength) / 2 / np.where(total > 0, total, 1)
     scale[scale == 0] = 1
     told = votes.outward * (np.abs(votes.outward) / np.where(votes.total > 0, votes.total, 1)) ** 2 * scale[parts.owner]
-    weight, noisy = _weight(parts, told, strength), drowned(surface, parts)
-    belief = relax(parts.coupling, told * np.where(noisy, MOST_WEIGHT, weight)[parts.owner])
+    noisy = drowned(surface, parts)
+    weight = _weight(parts, votes, told, np.where(noisy, NOISY_WEIGHT, LEAST_WEIGHT))
+    belief = relax(parts.coupling, told * weight[parts.owner])
     for c in np.flatnonzero(noisy & ~is_open & ~parts.speck):
         mine, rows = np.flatnonzero(parts.owner == c), np.flatnonzero(parts.component == c)
         region, coupling = np.searchsorted(mine, parts.region[rows]), parts.coupling[mine][:, mine]
         found, whole = settle_by_winding(surface, rows, region, coupling, told[mine], belief[mine])
-        belief[mine] = found if whole or weight[c] >= MOST_WEIGHT else relax(coupling, weight[c] * told[mine])
+        belief[mine] = found if whole else belief[mine]
     return belief
 
 
-def _weight(parts: Parts, told: Floats, strength: Floats) -> Floats:
-    """How much votes (M,) should count over couplings, of which each region has so much (M,), by component (C,).
+def _weight(parts: Parts, votes: Votes, told: Floats, weight: Floats) -> Floats:
+    """How much votes (M,) should count over couplings, by component (C,), from a first weight (C,).
 
-    By couplings alone, with the votes to choose between their two solutions, a share of each turns out to be wrong.
-    The ratio of these shares is the weight: what is wrong more often counts less.
+    It is the ratio of the shares of each that are wrong, as in weighted least squares: what is wrong more often counts
+    less. Wrong are those that contradict a solution, which depends on the weight, so they are found in rounds. A
+    solution may follow votes through holes; but if a region is seen from both sides, some of its votes are wrong
+    whatever its sign.
     """
-    signs = np.where(relax(parts.coupling, LEAST_WEIGHT * told) < 0, -1.0, 1.0)
-    wrong_couplings = parts.by_component((strength - signs * (parts.coupling @ signs)) / 2)
-    wrong_votes = parts.by_component(np.abs(told) * (signs * told < 0))
-    of_couplings, of_votes = parts.by_component(strength), parts.by_component(np.abs(told))
-    couplings = wrong_couplings / np.where(of_couplings > 0, of_couplings, 1)
-    votes = wrong_votes / np.where(of_votes > 0, of_votes, 1) + FEWEST_WRONG
-    return np.clip(couplings / votes, LEAST_WEIGHT, MOST_WEIGHT)
+    strength = np.asarray(abs(parts.coupling).sum(axis=1)).ravel()
+    both_sides = _share(parts, (votes.total - np.abs(votes.outward)) / 2, votes.total)
+    for _ in range(ROUNDS):
+        signs = np.where(relax(parts.coupling, weight[parts.owner] * told) < 0, -1.0, 1.0)
+        couplings = _share(parts, (strength - signs * (parts.coupling @ signs)) / 2, strength)
+        denied = _share(parts, np.abs(told) * (signs * told < 0), np.abs(told))
+        ratio = (couplings + FEWEST_WRONG) / (np.maximum(denied, both_sides) + FEWEST_WRONG)
+        weight = np.clip(ratio, LEAST_WEIGHT, MOST_WEIGHT)
+    return weight
+
+
+def _share(parts: Parts, some: Floats, whole: Floats) -> Floats:
+    """The share of values of regions (M,) in others, by component (C,)."""
+    total = parts.by_component(whole)
+    return parts.by_component(some) / np.where(total > 0, total, 1)
 
 
 def drowned(surface: Surface, parts: Parts) -> Bools:

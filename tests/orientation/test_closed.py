@@ -17,7 +17,7 @@ REGIONS, WIDTH = 600, 30
 
 
 def grid(wrong_couplings, wrong_votes, roughness=0.0):
-    """Signs (M,) of a grid of outward regions, of which some couplings (share) and some votes (M,) are wrong."""
+    """Signs (M,) of a grid of outward regions; a share of couplings and most votes of some regions (M,) are wrong."""
     rng = np.random.default_rng(0)
     number = np.arange(REGIONS).reshape(-1, WIDTH)
     row = np.concatenate([number[:, :-1].ravel(), number[:-1].ravel()])
@@ -27,7 +27,7 @@ def grid(wrong_couplings, wrong_votes, roughness=0.0):
     one = np.zeros(REGIONS, np.int32)
     parts = Parts(np.arange(REGIONS, dtype=np.int32), one, one, coupling + coupling.T, np.zeros(1, bool))
     surface = SimpleNamespace(roughness=np.full(REGIONS, roughness), spacing=np.ones(REGIONS))
-    votes = Votes(np.where(wrong_votes, -1.0, 1.0), np.ones(REGIONS), np.zeros(REGIONS))
+    votes = Votes(np.where(wrong_votes, -0.4, 1.0), np.ones(REGIONS), np.zeros(REGIONS))
     return weigh(surface, votes, parts, np.zeros(1, bool))
 
 
