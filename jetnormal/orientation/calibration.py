@@ -15,12 +15,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Kind = Literal["outward", "view", "terrain", "mst", "sight", "guess"]
+Kind = Literal["outward", "view", "lean", "terrain", "mst", "sight", "guess"]
 
 SURE = (0.0, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.96, 0.99, 1.0)
 RIGHT = {
     "outward": (0.5, 0.5, 0.735, 0.908, 0.928, 0.966, 0.974, 0.974, 0.994, 0.998),
-    "view": (0.5, 0.5, 0.85, 0.85, 0.85, 0.85, 0.85, 0.85, 0.85, 0.98),
+    "view": (0.5, 0.6, 0.78, 0.92, 0.955, 0.955, 0.955, 0.965, 0.98, 0.99),
+    "lean": (0.5, 0.55, 0.75, 0.91, 0.92, 0.93, 0.93, 0.94, 0.95, 0.96),
     "terrain": (0.63, 0.63, 0.63, 0.925, 0.925, 0.925, 0.925, 0.945, 0.945, 0.991),
     "mst": (0.594, 0.594, 0.594, 0.594, 0.624, 0.658, 0.7, 0.718, 0.776, 0.864),
 }
@@ -33,7 +34,8 @@ def probability(sure: NDArray[Any], kind: Kind) -> NDArray[np.float64]:
 
     Args:
         sure: (N,) score of the method, 0 to 1; for "sight", the cosine between normal and sight line.
-        kind: of the evidence. "guess": there is none.
+        kind: of the evidence. "lean": a view whose borders lean too little to be certain, or one of several sides.
+            "guess": there is none.
     """
     if kind == "guess":
         return np.full(len(sure), 0.5)

@@ -170,5 +170,6 @@ def _probability(found: Outcome, method: Method) -> Floats:
     outward = probability(found.sure, "outward")
     if found.tree is not None:
         return np.where(found.tree, probability(found.sure, "mst"), outward)
-    seen = probability(found.sure, "view" if found.view is not None and found.view.certain else "guess")
+    view = found.view
+    seen = probability(found.sure, "guess" if view is None else "view" if view.certain else "lean")
     return np.where(found.open, seen, outward)

@@ -8,7 +8,7 @@ from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.methods import choose_signs
 
 
-@pytest.mark.parametrize("kind", ["outward", "view", "terrain", "mst", "sight"])
+@pytest.mark.parametrize("kind", ["outward", "view", "lean", "terrain", "mst", "sight"])
 def test_who_is_surer_is_more_often_right(kind):
     values = probability(np.linspace(0, 1, 101), kind)
     assert (np.diff(values) >= 0).all() and values[0] >= 0.5 and values[-1] <= 1
