@@ -20,7 +20,6 @@ from jetnormal.jobs.files import check_file, check_format, read_file, write_file
 from jetnormal.jobs.memory import room_for_tiles
 from jetnormal.jobs.options import EstimateOptions, FileOptions, LargeOptions, NormalOptions
 from jetnormal.jobs.prediction import predict, prepare_estimator, turned_curvatures
-from jetnormal.support.imports import imported_meanwhile
 from jetnormal.support.report import StageTimer, peak_memory_mb, progress
 
 if TYPE_CHECKING:
@@ -193,13 +192,12 @@ def find_normals(cloud: Cloud, options: NormalOptions, estimator: Estimator, tim
     Raises:
         InputError, UsageError: as `jetnormal.estimate`.
     """
-    from jetnormal.orientation.policy import find_sensors, libraries, settle
+    from jetnormal.orientation.policy import find_sensors, settle
 
     sensors = find_sensors(options, cloud)
     with timer.stage("clean"):
         chosen, copy_of = _distinct_rows(cloud)
-    meanwhile = imported_meanwhile(*libraries(options.orient))
-    with timer.stage("estimate"), progress("estimating normals", len(chosen)) as advance, meanwhile:
+    with timer.stage("estimate"), progress("estimating normals", len(chosen)) as advance:
         prediction, name, warnings = predict(cloud.points[chosen], estimator, options, advance)
     prediction = replace(prediction, rough=prediction.normals)  # nobody asks for it any more
     with timer.stage("orient"):

@@ -51,13 +51,6 @@ class SignChoice:
     time_attribute: str = "gps_time"
 
 
-def libraries(asked: str) -> tuple[str, ...]:
-    """List what choosing signs by the option `orient` imports: that takes a sixth of a second."""
-    if asked not in ("auto", "global", "mst"):
-        return ()
-    return ("scipy.sparse.csgraph", "scipy.fft", "scipy.spatial", "scipy.optimize")
-
-
 def find_sensors(options: SignOptions, cloud: Cloud) -> Sensors | None:
     """Find what is known of the sensor; None if nothing is, or it is not asked for.
 
