@@ -84,13 +84,13 @@ def _from_outside(orientation: Orientation, mostly_open: bool) -> Decision:
         return decided(orientation, "auto", "global", "its surfaces are closed")
     view, share = orientation.view, f"{orientation.open.mean():.0%} of the points lie on open surfaces"
     if view is not None and view.certain:
-        return decided(orientation, "auto", "view", f"{share}, whose borders lean away from there")
+        return decided(orientation, "auto", "view", f"{share}, whose borders lean away from where they look to")
     if view is None:
         used, reason = "global", "up where open"
     elif view.several:
         used, reason = "global", "seen from several sides, outward"
     else:
-        used, reason = "view", "whose borders lean a little away from it"
+        used, reason = "view", "whose borders lean a little away from where they look to"
     return replace(decided(orientation, "auto", used, f"a guess: {share}, {reason}"), guessed=True)
 
 

@@ -71,7 +71,8 @@ def file_sensors(cloud: Cloud) -> Sensors | None:
     """
     source = cloud.source
     if source.sensors is not None and np.isfinite(source.sensors).any():
-        return Sensors(source.sensors, f"the {source.format.upper() or 'cloud'} knows its sensors")
+        known = f"{source.format.upper()} file" if source.format else "cloud"
+        return Sensors(source.sensors, f"the {known} knows its sensors")
     if source.viewpoint is None or not np.isfinite(source.viewpoint[:3]).all():
         return None
     place = np.asarray(source.viewpoint[:3], dtype=np.float64)
