@@ -19,7 +19,7 @@ STRAY_RADII = 6.0  # spacing of a stray point, over that of nine in ten
 LARGEST_AREAS = 0.05  # of the points count as one area, that of the smallest of them
 STRAYS = 0.005  # of the points may lie outside the box of places, on each side
 CANDIDATES, PLACES = 600, 48
-PLANES = 256  # at a time, which bounds the memory
+PLANES = 64  # at a time, which bounds the memory
 OFF_HULL = 0.02  # of the hull's size: places on its faces are not inside
 SIDE = 14  # pixels along the side of a picture; six pictures show all that is around a place
 SLACK = 0.3  # of a pixel's width: a point this far behind the nearest one of its pixel is still seen
@@ -71,10 +71,9 @@ class Hull:
     def depth(self, places: Floats) -> Floats:
         """How far places (P, 3) lie below its nearest face (P,); negative outside."""
         outside = np.full(len(places), -np.inf)
-        planes = self._hull.equations
+        planes, homogeneous = self._hull.equations, np.vstack([places.T, np.ones(len(places))])
         for start in range(0, len(planes), PLANES):
-            some = planes[start : start + PLANES]
-            np.maximum(outside, (places @ some[:, :3].T + some[:, 3]).max(axis=1), out=outside)
+            np.maximum(outside, (planes[start : start + PLANES] @ homogeneous).max(axis=0), out=outside)
         return -outside
 
     def places(self) -> Floats:
