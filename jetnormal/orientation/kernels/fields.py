@@ -70,12 +70,22 @@ def sum_solid_angles(
 
 
 @compiled
-def grid_axis(coordinate: float, corner: float, cell: float) -> Any:
+def _along_axis(coordinate: float, corner: float, cell: float) -> Any:
     """The two places around a coordinate along one axis of a grid, each with its linear weight."""
     position = (coordinate - corner) / cell
     base = np.floor(position)
     low = np.int64(base)
     return (low, base + 1 - position), (low + 1, position - base)
+
+
+@compiled
+def _grid_places(points: Floats, normals: Floats, i: Any, step: Any, corner: Floats, cell: float) -> Any:
+    """For each axis of a grid, the two places around what lies a step from point i along its normal."""
+    return (
+        _along_axis(points[i, 0] + step * normals[i, 0], corner[0], cell),
+        _along_axis(points[i, 1] + step * normals[i, 1], corner[1], cell),
+        _along_axis(points[i, 2] + step * normals[i, 2], corner[2], cell),
+    )
 
 
 @compiled
@@ -89,10 +99,7 @@ def add_dipoles(
     for r in range(len(rows)):
         i = rows[r]
         for side in (-1, 1):
-            step = side * cell
-            across = grid_axis(points[i, 0] + step * normals[i, 0], corner[0], cell)
-            along = grid_axis(points[i, 1] + step * normals[i, 1], corner[1], cell)
-            up = grid_axis(points[i, 2] + step * normals[i, 2], corner[2], cell)
+            across, along, up = _grid_places(points, normals, i, side * cell, corner, cell)
             for x, in_x in across:
                 for y, in_y in along:
                     for z, in_z in up:
@@ -110,10 +117,7 @@ def add_falls(
     for r in range(len(rows)):
         i = rows[r]
         for side in (-1, 1):
-            step = side * cell
-            across = grid_axis(points[i, 0] + step * normals[i, 0], corner[0], cell)
-            along = grid_axis(points[i, 1] + step * normals[i, 1], corner[1], cell)
-            up = grid_axis(points[i, 2] + step * normals[i, 2], corner[2], cell)
+            across, along, up = _grid_places(points, normals, i, side * cell, corner, cell)
             for x, in_x in across:
                 for y, in_y in along:
                     for z, in_z in up:
