@@ -97,14 +97,15 @@ class Estimated(Trial):
         return estimate
 
     def _estimate(self, cloud: BenchmarkCloud, orient: str, advance: Advance) -> Estimate:
-        from jetnormal.orientation.methods import orient as choose_signs
+        from jetnormal.orientation.methods import choose_signs
 
         rows = cloud.queries if orient == "none" else np.arange(len(cloud.points))
         start = time.perf_counter()
         normals = self.estimator(cloud.points, rows, advance).normals
         seconds = time.perf_counter() - start
         if orient != "none":
-            normals = choose_signs(cloud.points, normals, orient, viewpoint=cloud.sensors)[cloud.queries]  # type: ignore[arg-type]
+            signs = choose_signs(cloud.points, normals, orient, viewpoint=cloud.sensors)  # type: ignore[arg-type]
+            normals = signs.normals[cloud.queries]
         return Estimate(normals, len(rows), seconds)
 
 

@@ -16,8 +16,9 @@ from jetnormal.geometry.neighbors import distinct, inverse_order, spatial_order
 from jetnormal.orientation.agreement import Surface
 from jetnormal.orientation.calibration import probability
 from jetnormal.orientation.grazing import grazing_flips
+from jetnormal.orientation.outcome import Outcome
 from jetnormal.orientation.outward import turn_inward, turn_outward, turn_up
-from jetnormal.orientation.single_view import Outcome, View
+from jetnormal.orientation.single_view import View
 from jetnormal.orientation.spanning_tree import grow_tree
 from jetnormal.orientation.visibility import looks_down
 
@@ -43,19 +44,6 @@ class Orientation:
     confidence: NDArray[np.float32]
     open: Bools
     view: View | None = None
-
-
-def orient(
-    points: NDArray[Any], normals: NDArray[Any], method: Method = "global", *, viewpoint: ArrayLike | None = None
-) -> NDArray[Any]:
-    """Give normals consistent signs; `choose_signs` also returns what is known about them.
-
-    Args, Raises: as `choose_signs`.
-
-    Returns:
-        (N, 3) new array of the normals' dtype.
-    """
-    return choose_signs(points, normals, method, viewpoint=viewpoint).normals
 
 
 def choose_signs(

@@ -26,9 +26,10 @@ from jetnormal.orientation.agreement import Surface, region_forest, revote, spre
 from jetnormal.orientation.closed import FULL_VOTE, sum_votes, vote, weigh
 from jetnormal.orientation.dipole_field import contradicted
 from jetnormal.orientation.kernels.fields import solid_angles
+from jetnormal.orientation.outcome import Outcome
 from jetnormal.orientation.parts import Parts, divide
 from jetnormal.orientation.places import Hull, drawn_evenly, principal_axes, seen_from_inside
-from jetnormal.orientation.single_view import Outcome, View, as_seen
+from jetnormal.orientation.single_view import View, as_seen
 from jetnormal.orientation.visibility import Votes, look
 
 Floats = NDArray[np.float64]

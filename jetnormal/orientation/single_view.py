@@ -82,23 +82,6 @@ class View:
         return self.found and self.lean >= LEAN
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What was found of N points.
-
-    Attributes:
-        sure: (N,) how sure the signs are, 0 to 1.
-        open: (N,) which points are on a surface without an outside.
-        view: the side from which the open surfaces were seen; None if that was not asked for, or not found.
-        tree: (N,) which signs a spanning tree carried; None for none.
-    """
-
-    sure: Floats
-    open: Bools
-    view: View | None = None
-    tree: Bools | None = None
-
-
 def as_seen(surface: Surface, parts: Parts, among: Bools) -> View:
     """Find the side of an open surface that one sensor saw.
 

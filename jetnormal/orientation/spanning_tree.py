@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from jetnormal.orientation.agreement import Forest, Surface, region_forest, revote, rooted, spread_signs
 from jetnormal.orientation.closed import drowned, vote, weigh
 from jetnormal.orientation.dipole_field import contradicted
+from jetnormal.orientation.outcome import Outcome
 from jetnormal.orientation.parts import Parts, divide
-from jetnormal.orientation.single_view import Outcome
 from jetnormal.orientation.visibility import extremes_look_inward
 
 Floats = NDArray[np.float64]

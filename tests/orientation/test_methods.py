@@ -7,7 +7,7 @@ import pytest
 
 from jetnormal.geometry.metrics import oriented_accuracy
 from jetnormal.orientation.calibration import probability
-from jetnormal.orientation.methods import choose_signs, orient
+from jetnormal.orientation.methods import choose_signs
 
 N = 5000
 
@@ -60,7 +60,7 @@ def scrambled(normals, seed=7):
 
 
 def outward_share(points, normals, method="global"):
-    return oriented_accuracy(orient(points, scrambled(normals), method), normals)[0]
+    return oriented_accuracy(choose_signs(points, scrambled(normals), method).normals, normals)[0]
 
 
 SHAPES = [sphere, torus, box, thin_plate, cylinder]
@@ -89,7 +89,7 @@ def test_outliers_do_not_turn_a_solid_inside_out(shape, method):
     rng = np.random.default_rng(2)
     points, normals = shape(rng)
     outliers, directions = rng.uniform(-2, 2, (N // 50, 3)), sphere(rng, N // 50)[1]
-    oriented = orient(np.append(points, outliers, axis=0), np.append(normals, directions, axis=0), method)
+    oriented = choose_signs(np.append(points, outliers, axis=0), np.append(normals, directions, axis=0), method).normals
     assert oriented_accuracy(oriented[:N], normals)[0] >= 0.99
 
 
@@ -114,7 +114,7 @@ def test_an_open_sheet_is_turned_up(method):
     x, y, _ = points.T
     points[:, 2] = np.sin(x) * np.sin(y) / 2
     normals = np.stack([-np.cos(x) * np.sin(y) / 2, -np.sin(x) * np.cos(y) / 2, np.ones(N)], axis=1)
-    np.testing.assert_array_equal(orient(points, scrambled(normals), method), normals)
+    np.testing.assert_array_equal(choose_signs(points, scrambled(normals), method).normals, normals)
 
 
 @both_methods
@@ -122,11 +122,11 @@ def test_an_open_sheet_is_turned_up(method):
 def test_directions_are_the_same_bits_and_incoming_signs_do_not_matter(shape, method):
     points, normals = shape(np.random.default_rng(5))
     normals = normals * np.random.default_rng(6).uniform(0.1, 9, (N, 1))  # any length
-    oriented = orient(points, normals, method)
+    oriented = choose_signs(points, normals, method).normals
     np.testing.assert_array_equal(np.abs(oriented), np.abs(normals))
     same = np.all(oriented == normals, axis=1) | np.all(oriented == -normals, axis=1)
     assert same.all()
-    np.testing.assert_array_equal(orient(points, scrambled(normals), method), oriented)
+    np.testing.assert_array_equal(choose_signs(points, scrambled(normals), method).normals, oriented)
 
 
 @both_methods
@@ -134,10 +134,14 @@ def test_order_and_offset_of_the_points_do_not_matter(method):
     points, normals = torus(np.random.default_rng(8))
     points += np.random.default_rng(8).normal(scale=0.01, size=points.shape)
     points = np.round(points * 2**20) / 2**20  # exact under the offset
-    oriented = orient(points, normals, method)
+    oriented = choose_signs(points, normals, method).normals
     order = np.random.default_rng(9).permutation(N)
-    np.testing.assert_array_equal(orient(points[order], scrambled(normals)[order], method), oriented[order])
-    np.testing.assert_array_equal(orient(points + np.array([5e5, 5e6, 300]), scrambled(normals), method), oriented)
+    np.testing.assert_array_equal(
+        choose_signs(points[order], scrambled(normals)[order], method).normals, oriented[order]
+    )
+    np.testing.assert_array_equal(
+        choose_signs(points + np.array([5e5, 5e6, 300]), scrambled(normals), method).normals, oriented
+    )
 
 
 @pytest.mark.parametrize("method", ["global", "mst", "up", "viewpoint"])
@@ -149,9 +153,9 @@ def test_rows_without_point_or_direction_stay_and_take_no_part(method):
     broken = scrambled(normals)
     points[rows[0::4], 1], points[rows[1::4]] = np.nan, np.inf
     broken[rows[2::4]], broken[rows[3::4]] = np.nan, 0
-    oriented = orient(points, broken, method, viewpoint=viewpoint)
+    oriented = choose_signs(points, broken, method, viewpoint=viewpoint).normals
     np.testing.assert_array_equal(oriented[rows], broken[rows])
-    alone = orient(points[whole], normals[whole], method, viewpoint=viewpoint)
+    alone = choose_signs(points[whole], normals[whole], method, viewpoint=viewpoint).normals
     np.testing.assert_array_equal(oriented[whole], alone)
 
 
@@ -176,7 +180,7 @@ def test_many_coplanar_points_take_no_longer_than_others():
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
 @pytest.mark.parametrize("method", ["global", "mst", "up"])
 def test_a_few_points_are_enough(n, method):
-    oriented = orient(np.eye(3)[:n], np.full((n, 3), -1.0), method)
+    oriented = choose_signs(np.eye(3)[:n], np.full((n, 3), -1.0), method).normals
     assert oriented.shape == (n, 3)
     assert (oriented == (oriented[:1] if n else 0)).all()
 
@@ -185,7 +189,7 @@ def test_viewpoint_turns_normals_to_the_scanner():
     rng = np.random.default_rng(13)
     points, normals = rng.normal((5e5, 5e6, 0), size=(N, 3)), sphere(rng)[1]
     viewpoint = (5e5 + 1, 5e6 - 2, 3.0)
-    oriented = orient(points, normals, "viewpoint", viewpoint=viewpoint)
+    oriented = choose_signs(points, normals, "viewpoint", viewpoint=viewpoint).normals
     sights = viewpoint - points
     cosine = np.einsum("nd,nd->n", oriented, sights) / np.linalg.norm(sights, axis=1)
     assert (cosine[np.abs(cosine) > 0.25] > 0).all() and (cosine > 0).mean() > 0.9
@@ -214,20 +218,20 @@ def test_neighbors_settle_what_a_sight_line_grazes():
     tilted = np.column_stack([rng.normal(scale=0.15, size=(N, 2)), np.ones(N)])
     viewpoint = np.array([20.0, 0, 3.0])  # 8.5 degrees above the plane
     plain = np.einsum("nd,nd->n", tilted, viewpoint - points) > 0
-    oriented = orient(points, scrambled(tilted), "viewpoint", viewpoint=viewpoint)
+    oriented = choose_signs(points, scrambled(tilted), "viewpoint", viewpoint=viewpoint).normals
     assert plain.mean() < 0.9 < 0.99 < (oriented[:, 2] > 0).mean()
 
 
 def test_up_turns_normals_up_then_along_y_then_along_x():
     normals = np.array([[1, 1, -0.1], [0, -1, 0.2], [1, -1, 0], [-1, 0, 0], [1, 0, 0]], dtype=np.float32)
-    oriented = orient(np.zeros((5, 3)), normals, "up")
+    oriented = choose_signs(np.zeros((5, 3)), normals, "up").normals
     assert oriented.dtype == np.float32
     np.testing.assert_array_equal(oriented, normals * np.array([[-1], [1], [-1], [-1], [1]]))
 
 
 def test_none_returns_a_copy():
     normals = scrambled(sphere(np.random.default_rng(14))[1])
-    oriented = orient(normals, normals, "none")
+    oriented = choose_signs(normals, normals, "none").normals
     np.testing.assert_array_equal(oriented, normals)
     assert oriented is not normals
 
@@ -235,8 +239,8 @@ def test_none_returns_a_copy():
 def test_unusable_arguments_are_refused():
     points = np.eye(3)
     with pytest.raises(ValueError, match="global, view, mst, viewpoint, up, terrain, inside, none"):
-        orient(points, points, "down")
+        choose_signs(points, points, "down")
     with pytest.raises(ValueError, match="viewpoint"):
-        orient(points, points, "viewpoint")
+        choose_signs(points, points, "viewpoint")
     with pytest.raises(ValueError, match="must both be"):
-        orient(points, points[:2])
+        choose_signs(points, points[:2])

@@ -12,11 +12,11 @@ import pytest
 from solids import box, drilled_block, joined, ring, scrambled, sphere
 
 from jetnormal.geometry.metrics import oriented_accuracy
-from jetnormal.orientation.methods import choose_signs, orient
+from jetnormal.orientation.methods import choose_signs
 
 
 def outward_share(points, normals):
-    return oriented_accuracy(orient(points, scrambled(normals)), normals)[0]
+    return oriented_accuracy(choose_signs(points, scrambled(normals)).normals, normals)[0]
 
 
 def terrain(rng):
@@ -60,7 +60,7 @@ def test_a_ball_in_a_bottle_is_no_cavity():
     parts = [(p[keep], n[keep]) for p, n in parts for keep in [np.hypot(p[:, 0], p[:, 1]) > 0.2 * (p[:, 2] > 0.5)]]
     upper = rim[0][:, 2] > -2
     points, normals = joined([*parts, ((rim[0] + [0, 0, 0.93])[upper], rim[1][upper])])
-    oriented = orient(points, scrambled(normals))
+    oriented = choose_signs(points, scrambled(normals)).normals
     count = len(parts[0][0]) + len(parts[1][0])
     own = slice(count, count + len(parts[2][0]))
     assert oriented_accuracy(oriented[own], normals[own])[0] == 1
@@ -95,7 +95,7 @@ def test_an_open_hemisphere_is_told_apart_and_a_viewpoint_settles_it():
     result = choose_signs(points, scrambled(normals))
     assert result.open.all()
     assert oriented_accuracy(result.normals, normals)[1] == 1
-    inside = orient(points, scrambled(normals), "viewpoint", viewpoint=(0.2, 0.0, 0.0))
+    inside = choose_signs(points, scrambled(normals), "viewpoint", viewpoint=(0.2, 0.0, 0.0)).normals
     assert oriented_accuracy(inside, -normals)[0] == 1
     whole = choose_signs(*sphere(np.random.default_rng(5), 8000))
     assert not whole.open.any()
@@ -108,7 +108,9 @@ def test_uneven_density_and_outliers_are_withstood():
     points, normals = points[keep], normals[keep]
     count = len(points) // 50
     outliers, directions = rng.uniform(-1.5, 1.5, (count, 3)), sphere(rng, count)[1]
-    oriented = orient(np.append(points, outliers, axis=0), scrambled(np.append(normals, directions, axis=0)))
+    oriented = choose_signs(
+        np.append(points, outliers, axis=0), scrambled(np.append(normals, directions, axis=0))
+    ).normals
     assert oriented_accuracy(oriented[: len(points)], normals)[0] >= 0.995
 
 
@@ -178,7 +180,7 @@ def test_points_off_a_surface_take_its_sign():
     points, normals = sphere(rng, 5000)
     directions = sphere(rng, 100)[1]
     off = directions * (1 + rng.choice([-1, 1], (100, 1)) * rng.uniform(0.15, 0.3, (100, 1)))
-    oriented = orient(np.append(points, off, axis=0), scrambled(np.append(normals, directions, axis=0)))
+    oriented = choose_signs(np.append(points, off, axis=0), scrambled(np.append(normals, directions, axis=0))).normals
     assert oriented_accuracy(oriented, np.append(normals, directions, axis=0))[0] == 1
 
 
