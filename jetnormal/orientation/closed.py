@@ -39,12 +39,22 @@ def vote(surface: Surface, parts: Parts) -> tuple[Votes, Bools]:
     if not is_open.any() or len(parts.speck) == 1:
         return votes, is_open
     # The sides of a box may be scanned apart: each is open alone, but together they hide their inner sides.
-    among = sum_votes(look(surface, parts.component, alone=False), parts)
-    seen = parts.by_component(among.total) >= MIN_SEEN * FULL_VOTE * parts.sizes
-    closed = is_open & seen & (_purity(among, parts) >= OPEN_PURITY)
+    among, one_sided = vote_among(surface, parts)
+    closed = is_open & one_sided
     mine = closed[parts.owner]
     votes = Votes(np.where(mine, among.outward, votes.outward), np.where(mine, among.total, votes.total), votes.upward)
     return votes, is_open & ~closed
+
+
+def vote_among(surface: Surface, parts: Parts) -> tuple[Votes, Bools]:
+    """Look at each component among the others, which may hide it.
+
+    Returns:
+        The votes of the regions (M,), and of which components (C,) one side is seen.
+    """
+    votes = sum_votes(look(surface, parts.component, alone=False), parts)
+    seen = parts.by_component(votes.total) >= MIN_SEEN * FULL_VOTE * parts.sizes
+    return votes, seen & (_purity(votes, parts) >= OPEN_PURITY)
 
 
 def sum_votes(votes: Votes, parts: Parts) -> Votes:

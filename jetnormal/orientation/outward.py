@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from jetnormal.geometry.neighbors import NeighborIndex
 from jetnormal.orientation.agreement import Surface, region_forest, revote, spread_signs
-from jetnormal.orientation.closed import FULL_VOTE, sum_votes, vote, weigh
+from jetnormal.orientation.closed import FULL_VOTE, sum_votes, vote, vote_among, weigh
 from jetnormal.orientation.dipole_field import contradicted
 from jetnormal.orientation.kernels.fields import solid_angles
 from jetnormal.orientation.outcome import Outcome
@@ -39,6 +39,7 @@ Bools = NDArray[np.bool_]
 LEVEL = 0.3  # cosine to the vertical; what is steeper is a wall
 STRAY_RADII = 1.5  # neighborhood radius, over the mean of the neighbors'
 INSIDE_POINTS = 12_000  # are looked at from inside
+FAR_WEIGHT = 3.0  # of what is seen from far away, over what is seen from inside
 PLACES, SOURCES = 16, 4096  # points of a component that tell whether it is inside, and that tell it of others
 # The votes for up of a region count up to as many sure edges as lie along its side. In a smooth sheet, several times
 # that many join two regions; in the noisy crease between a wall and the ground, fewer.
@@ -82,15 +83,19 @@ def turn_up(surface: Surface) -> Outcome:
 def turn_inward(surface: Surface) -> Outcome:
     """Turn the normals of a scan that was taken from inside, as of a room or a street, to the places inside.
 
-    Places in the empty space inside of the hull (`places`) vote, as those far away do for an object. With the opposite
-    normals, the winding number of the surface is 1/2 as on a solid, so these are weighed.
+    Places in the empty space inside of the hull (`places`) vote, as those far away do for an object. Where these see
+    one side only, it is the back, as of the walls of a house, and they vote against it. With the opposite normals, the
+    winding number of the surface is 1/2 as on a solid, so these are weighed.
     """
     flips, parts = divide(surface)
     surface.turn(flips)
+    none = np.zeros(len(parts.speck), dtype=np.bool_)
     inside = sum_votes(_look_inside(surface), parts)
-    opposite = replace(inside, outward=-inside.outward)
-    belief = -weigh(surface, opposite, parts, np.zeros(len(parts.speck), dtype=np.bool_))
-    return _finished(surface, parts, belief, np.zeros(len(parts.speck), dtype=np.bool_))
+    backs, closed = vote_among(surface, parts)
+    share = FAR_WEIGHT * inside.total.sum() / max(backs.total.sum(), 1e-300) * closed[parts.owner]
+    opposite = replace(inside, outward=share * backs.outward - inside.outward, total=share * backs.total + inside.total)
+    belief = -weigh(surface, opposite, parts, none)
+    return _finished(surface, parts, belief, none)
 
 
 def _look_inside(surface: Surface) -> Votes:
