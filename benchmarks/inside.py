@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -33,17 +32,19 @@ from jetnormal.data.sources import meshes_in
 from jetnormal.estimators.factory import make_estimator
 from jetnormal.jobs.options import DEFAULT_MODEL
 from jetnormal.mesh import Mesh
-from jetnormal.orientation.inside import find_evidence
+from jetnormal.orientation.auto import OPEN_SHARE
+from jetnormal.orientation.inside import CLOSED, OPEN, Evidence, find_evidence
 from jetnormal.orientation.methods import choose_signs
 from jetnormal.orientation.policy import settle
 
 Row = tuple[str, str, tuple[bool, bool]]  # kind, variant and outcome
+Example = tuple[Evidence, float]  # and whether places inside should decide
 Cloud = tuple[str, np.ndarray, np.ndarray]  # kind, points (N, 3), true normals (N, 3), 0 where a point is on no surface
 POINTS = 8_000, 40_000
 VARIANTS = {"as it is": 0.35, "voxels": 0.3, "cut": 0.15, "noise": 0.1, "uneven": 0.1}
 RIGHT = 0.85  # of the points
 RIDGE = 0.5
-PRIOR = 1 / 6  # share of scans from inside among all clouds
+PRIOR = 1 / 12  # share of scans from inside among all clouds
 OBJECTS = ("object", "mesh")
 
 
@@ -190,33 +191,46 @@ def print_table(rows: list[Row]) -> None:
             print(f"| {name} | {len(results)} | " + " | ".join(map(str, cells)) + " |")
 
 
-def example(kind: str, points: np.ndarray, normals: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """The evidence of a cloud, and whether places inside should decide; 1/2 for a scene that all get wrong."""
+def example(kind: str, points: np.ndarray, normals: np.ndarray, true: np.ndarray) -> Example | None:
+    """The evidence of a cloud, and whether places inside should decide; 1/2 if a scene makes no difference."""
     outward = choose_signs(points, normals, "view")
-    found = find_evidence(points, outward.normals, float(outward.open.mean()))
+    found = find_evidence(points, outward.normals, float(outward.open.mean()) > OPEN_SHARE)
     if found is None:
         return None
-    inward = kind not in OBJECTS and share_right(choose_signs(points, normals, "inside").normals, true) >= RIGHT
-    lost = kind not in OBJECTS and not inward and share_right(outward.normals, true) < RIGHT
-    return np.array(astuple(found)), 0.5 if lost else float(inward)
+    if kind in OBJECTS:
+        return found, 0.0
+    inward = share_right(choose_signs(points, normals, "inside").normals, true) >= RIGHT
+    return found, 0.5 if inward == (share_right(outward.normals, true) >= RIGHT) else float(inward)
 
 
-def print_fit(examples: list[tuple[np.ndarray, float]]) -> None:
-    """Fit a logistic regression with a ridge, and print its weights."""
+def print_fit(examples: list[Example]) -> None:
+    """Fit a logistic regression with a ridge to closed clouds, and one to open ones, and print their weights."""
+    scenes = np.mean([wanted > 0 for _, wanted in examples])
+    for is_open in (False, True):
+        some = [(found, wanted) for found, wanted in examples if found.open == is_open]
+        names = OPEN if is_open else CLOSED
+        values = np.array([[getattr(found, name) for name in names] for found, _ in some])
+        wanted = np.array([wanted for _, wanted in some])
+        weight = np.where(wanted > 0, PRIOR / scenes, (1 - PRIOR) / (1 - scenes))
+        weights, constant = fit(values, wanted, weight)
+        print("OPEN =" if is_open else "CLOSED =", dict(zip(names, np.round(weights, 2).tolist(), strict=True)))
+        print("constant", round(constant, 2))
+
+
+def fit(values: np.ndarray, wanted: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
+    """The weights (K,) and the constant of a logistic regression of (N, K) values."""
     from scipy.optimize import minimize
 
-    values, wanted = (np.array(column) for column in zip(*examples, strict=True))
     middle, scale = values.mean(axis=0), values.std(axis=0) + 1e-9
     inputs = np.column_stack([(values - middle) / scale, np.ones(len(values))])
 
     def loss(weights: np.ndarray) -> float:
         score = inputs @ weights
-        return float((np.logaddexp(0, score) - wanted * score).sum() + RIDGE * (weights[:-1] ** 2).sum())
+        return float((weight * (np.logaddexp(0, score) - wanted * score)).sum() + RIDGE * (weights[:-1] ** 2).sum())
 
-    weights = minimize(loss, np.zeros(inputs.shape[1]), method="BFGS").x
-    print("WEIGHTS =", tuple(np.round(weights[:-1] / scale, 2).tolist()))
-    prior = np.log(PRIOR / (1 - PRIOR)) - np.log(wanted.mean() / (1 - wanted.mean()))
-    print("CONSTANT =", round(float(weights[-1] - (weights[:-1] / scale) @ middle + prior), 2))
+    found = minimize(loss, np.zeros(inputs.shape[1]), method="BFGS").x
+    weights = found[:-1] / scale
+    return weights, float(found[-1] - weights @ middle)
 
 
 def main() -> None:
@@ -231,7 +245,7 @@ def main() -> None:
     options = parser.parse_args()
     estimator = make_estimator(options.model)
     rows: list[Row] = []
-    examples = []
+    examples: list[Example] = []
     for (kind, points, true), rng in clouds(options.seed, options.scenes, options.objects, options.meshes):
         variant, points, true = varied(points, true, rng)
         normals = estimator(points).normals.astype(np.float64)

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 
 ONE_SIDE = 0.97  # of the open points: a surface that a sensor saw shows it one side
 ENOUGH = 1_000_000  # points; from more, "auto" takes so many to decide by
+BELOW = 0.08  # of the variance of density: so much better explained from below, it is no terrain
 OPEN_SHARE = 0.05  # of the points; below it, they are specks beside a closed surface
 
 
@@ -42,7 +43,7 @@ def decide(
 
 def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple[Orientation, Decision]:
     """Decide by the shape of the cloud alone."""
-    from jetnormal.orientation.inside import inside_probability
+    from jetnormal.orientation.inside import find_evidence
     from jetnormal.orientation.terrain import is_terrain
     from jetnormal.orientation.visibility import taken_from_origin
 
@@ -56,8 +57,10 @@ def _by_evidence(points: Floats, normals: NDArray[Any], source: Source) -> tuple
         return orientation, decided(orientation, "auto", "origin", reason)
     seen = mostly_open and view is not None and view.certain
     directions = unit(orientation.normals)
-    inside = inside_probability(points, directions, open_share)
-    if not seen and (mostly_open or inside < SUSPECT) and is_terrain(points, directions):
+    found = find_evidence(points, directions, mostly_open)
+    inside = 0.0 if found is None else found.probability
+    below = found is not None and found.behind * np.sign(directions[:, 2].mean()) > BELOW
+    if not (seen or below) and (mostly_open or inside < SUSPECT) and is_terrain(points, directions):
         orientation = choose_signs(points, normals, "terrain")
         return orientation, decided(orientation, "auto", "terrain", "the cloud is wide, flat and mostly level")
     if mostly_open and source.viewpoint is not None and _one_sided(points, orientation):

@@ -9,7 +9,10 @@ from jetnormal.orientation.methods import Orientation
 
 # Probabilities that a cloud was scanned from inside, from which on a warning says so, normals look inward, and no
 # warning is needed.
-SUSPECT, RATHER, CERTAIN = 0.25, 0.5, 0.95
+SUSPECT, RATHER, CERTAIN = 0.125, 0.5, 0.9
+# Mean confidence of signs inside. Of 199 simulated scans that were certain, 13 are below it, of which 7 have less than
+# 85 % right signs, as have 9 of the others.
+HARDLY = 0.8
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,11 @@ class Decision:
             found.append(
                 f"it looks like a room or street that was scanned from inside (probability {self.inside:.0%}), and its "
                 "normals look inward: for an object, `orient=global` turns them outward"
+            )
+        elif self.used == "inside" and self.confidence < HARDLY:
+            found.append(
+                f"it was scanned from inside, but its signs are right by {self.confidence:.0%} only: `viewpoint`, a "
+                "place inside that sees its walls, makes them sure"
             )
         elif self.used != "inside" and self.inside >= SUSPECT and not self.guessed:
             found.append(

@@ -4,7 +4,8 @@
 1. a viewpoint, attributes or a trajectory that the user gives;
 2. a file that knows its sensor (`sensors.file_sensors`);
 3. open surfaces that look as if a camera at the origin had taken them: towards the origin;
-4. a wide, flat, mostly level cloud is terrain (`terrain`), unless it is closed and may be a room: up;
+4. a wide, flat, mostly level cloud is terrain (`terrain`), unless it is closed and may be a room, or was seen from
+   below: up;
 5. open surfaces of which the origin, named by a PCD file, sees one side throughout: towards the origin;
 6. a cloud that was rather scanned from inside, as rooms and streets are, than from outside (`inside`): inward;
 7. closed surfaces: outward;

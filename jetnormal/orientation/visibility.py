@@ -78,7 +78,7 @@ def look(surface: Surface, component: Labels, *, alone: bool) -> Votes:
     points = np.clip(surface.points, -limit, limit) if is_far else surface.points
     for up in directions()[: VIEWS // 2]:
         see(
-            points, surface.normals, _axes(up), PIXEL_SPACINGS * unit, MIN_COSINE, surface.roughness, SLACK,
+            points, surface.normals, axes_across(up), PIXEL_SPACINGS * unit, MIN_COSINE, surface.roughness, SLACK,
             level, hides, label, lowest, highest, key, top, bottom, votes,
         )  # fmt: skip
     return Votes(*votes.T)
@@ -119,7 +119,7 @@ def _pictures(level: Ints, label: Labels) -> tuple[Bools, Ints, Ints]:
     return usual.ravel()[place], lowest, highest
 
 
-def _axes(direction: Floats) -> Floats:
+def axes_across(direction: Floats) -> Floats:
     """Two unit vectors across a direction, and itself (3, 3)."""
     side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     side /= np.linalg.norm(side)
@@ -128,7 +128,7 @@ def _axes(direction: Floats) -> Floats:
 
 def below_topmost(points: Floats, direction: Floats, pixel: float) -> Floats:
     """Find how far points (N, 3) lie below the topmost one of their pixel (N,), seen from far away in a direction."""
-    side, across, _ = _axes(direction)
+    side, across, _ = axes_across(direction)
     place = [np.floor(along(points, axis) / pixel) for axis in (side, across)]
     row, column = np.clip(place, -FARTHEST_COUNTED, FARTHEST_COUNTED).astype(np.int64)
     # Of objects that lie apart, most pixels are empty.

@@ -9,7 +9,7 @@ from solids import box, drilled_block, joined, ring, scrambled, sphere
 
 from jetnormal.cloud import Source
 from jetnormal.geometry.metrics import oriented_accuracy
-from jetnormal.orientation.decision import RATHER
+from jetnormal.orientation.decision import RATHER, Decision
 from jetnormal.orientation.inside import Evidence, find_evidence
 from jetnormal.orientation.methods import choose_signs
 from jetnormal.orientation.places import Hull, drawn_evenly, look_from
@@ -63,8 +63,8 @@ def test_a_room_looks_inward_and_says_so(scanned_room, turn):
 def test_what_is_found_turns_and_grows_with_the_cloud(scanned_room):
     points, normals = scanned_room
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
-    here = find_evidence(points, normals, 0.0)
-    there = find_evidence(1000 * points @ turn.T + 5, normals @ turn.T, 0.0)
+    here = find_evidence(points, normals, False)
+    there = find_evidence(1000 * points @ turn.T + 5, normals @ turn.T, False)
     np.testing.assert_allclose([*vars(there).values()], [*vars(here).values()], atol=0.02)
 
 
@@ -84,6 +84,12 @@ def test_the_doubt_is_in_the_warning_and_in_the_confidence(scanned_room, monkeyp
         assert not settle(points, scrambled(normals), "auto", None, Source())[1].warnings()
 
 
+@pytest.mark.parametrize(("confidence", "warnings"), [(0.7, 1), (0.9, 0)])
+def test_a_room_whose_signs_are_hardly_sure_gets_a_warning(confidence, warnings):
+    found = Decision("auto", "inside", "a room", confidence=confidence, inside=0.95).warnings()
+    assert len(found) == warnings and all("70%" in text and "viewpoint" in text for text in found)
+
+
 def test_points_without_a_direction_have_no_confidence(scanned_room):
     points, normals = scanned_room
     given = scrambled(normals)
@@ -101,6 +107,37 @@ def test_places_inside_turn_an_open_street():
         points[part::3, axis], normals[part::3, axis] = value, sign
     found = choose_signs(points, scrambled(normals), "inside")
     assert oriented_accuracy(found.normals, normals)[0] > 0.99 and not found.open.any()
+
+
+def test_walls_that_no_place_inside_sees_are_seen_from_behind():
+    """A small room beside a large one, in which all places are."""
+    rng = np.random.default_rng(8)
+    points, normals = joined([box(rng, 200, (0, 0, 0), (6, 6, 3)), box(rng, 200, (6.2, 0, 0), (6.9, 0.7, 3))])
+    found = choose_signs(points, scrambled(normals), "inside")
+    assert oriented_accuracy(found.normals, -normals)[0] > 0.99
+
+
+def test_density_tells_the_side_of_a_single_frame():
+    """The corner of a room, whose borders lean to the back; a pinhole camera sees more of what is near."""
+    rng = np.random.default_rng(9)
+    forward, side, up = np.linalg.qr([[-1.0, 0.8, 0], [-0.8, -1, 0], [0.1, 0, 1]])[0].T
+    sight = (
+        np.abs(forward) * [1, 1, -1] + rng.uniform(-0.6, 0.6, (8000, 1)) * side + rng.uniform(-0.6, 0.6, (8000, 1)) * up
+    )
+    eye = np.array([0.3, 0.4, 1.5])
+    to_wall = (np.where(sight > 0, SIZE, 0) - eye) / sight
+    axis = to_wall.argmin(axis=1)
+    points, normals = eye + to_wall.min(axis=1)[:, None] * sight, np.zeros((8000, 3))
+    normals[np.arange(8000), axis] = -np.sign(sight[np.arange(8000), axis])
+    assert find_evidence(points, normals, True).behind < -0.3
+    assert find_evidence(points, -normals, True).behind > 0.3
+
+
+def test_sensors_outside_explain_the_density_of_an_object_and_one_inside_that_of_a_room():
+    rng = np.random.default_rng(10)
+    of_box = find_evidence(*box(rng, 600, (0, 0, 0), (3, 2, 2)), False)
+    of_room = find_evidence(*room(rng, STATIONS[:1], 12_000), False)
+    assert of_box.misfit < -2 and of_room.misfit > -1 and of_room.slope > 0.8
 
 
 def test_a_place_sees_what_nothing_hides():
@@ -132,13 +169,13 @@ def test_points_are_drawn_evenly_and_strays_never():
     assert dense[rows].mean() == pytest.approx(0.1, abs=0.03)
 
 
-def test_the_wall_of_a_cavity_is_enclosed_and_what_stands_in_a_room_is_not(scanned_room):
+def test_what_stands_in_a_room_is_hidden_and_the_wall_of_a_cavity_does_not_count(scanned_room):
     rng = np.random.default_rng(7)
     outer, cavity = sphere(rng, 6000), sphere(rng, 3000, 0.6)
-    found = find_evidence(*joined([outer, (cavity[0], -cavity[1])]), 0.0)
-    assert found.enclosed > 0.99
-    assert find_evidence(*scanned_room, 0.0).enclosed < 0.01
-    assert find_evidence(*outer, 0.0).enclosed == 0
+    found = find_evidence(*joined([outer, (cavity[0], -cavity[1])]), False)
+    assert found.hidden == 0 and found.misfit < -1.5
+    assert find_evidence(*scanned_room, False).hidden > 0.1
+    assert find_evidence(*outer, False).hidden == 0
 
 
 def shells(rng):
@@ -182,8 +219,8 @@ def test_objects_look_outward(make):
 def test_few_points_and_flat_ones_tell_nothing():
     points = np.random.default_rng(7).uniform(size=(3000, 3)) * [1, 1, 0]
     normals = np.tile([0.0, 0, 1], (3000, 1))
-    assert find_evidence(points, normals, 1.0) is None
-    assert find_evidence(points[:50], normals[:50], 1.0) is None
+    assert find_evidence(points, normals, True) is None
+    assert find_evidence(points[:50], normals[:50], True) is None
     assert (orient(points, normals)[:, 2] == 1).all()
     for count in (1, 3, 3000):
         assert (np.abs(orient(points[:count], normals[:count], "inside")[:, 2]) == 1).all()

@@ -146,6 +146,20 @@ def test_a_flat_object_with_a_bottom_is_no_terrain_and_ground_under_trees_is():
     assert is_terrain(forest, down)
 
 
+@pytest.mark.parametrize("eye", [3.0, -3.0])
+def test_density_tells_a_bumpy_face_seen_from_below_from_terrain(eye):
+    """A sensor sees more of what is near it, and of what faces it."""
+    rng = np.random.default_rng(11)
+    x, y = rng.uniform(-4.5, 4.5, (2, 12_000))
+    points = np.column_stack([x, y, 0.5 * np.sin(x) * np.cos(y)])
+    slopes = np.column_stack([-0.5 * np.cos(x) * np.cos(y), 0.5 * np.sin(x) * np.sin(y), np.ones(len(x))])
+    sights = points - [0, 0, eye]
+    density = np.abs((sights * slopes).sum(axis=1)) / np.linalg.norm(sights, axis=1) ** 3
+    drawn = rng.random(len(x)) < 4 * density
+    decision = settle(points[drawn], unit(slopes[drawn]), "auto", None, Source())[1]
+    assert (decision.used == "terrain") == (eye > 0) and bool(decision.warnings()) == (eye < 0)
+
+
 @pytest.mark.parametrize("turn", [[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 def test_one_view_of_an_object_looks_to_where_it_was_seen_from(turn):
     """A ball in front of a rod, seen along z; whoever sees it from behind sees the same points."""
