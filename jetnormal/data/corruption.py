@@ -11,6 +11,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.data.ridges import add_ridges
+
 # Standard deviation of the noise as a fraction of the bounding box's diagonal, as in PCPNet's test set (its
 # training set has 1.2e-3 for "low").
 NOISE_LEVELS = {"low": 1.25e-3, "medium": 6.0e-3, "high": 1.2e-2}
@@ -32,7 +34,8 @@ CORRUPTION_SHARES = {
 VARIED_NOISE = (2e-4, 8e-3)  # between PCPNet's levels and below them, which real scans do not keep to
 NOISE_JITTER = 1.3  # a noise level is multiplied by a factor between 1/1.3 and 1.3
 UNIFORM_NOISE_SHARE = 0.15  # of the noisy clouds; the others are Gaussian
-HOLES_SHARE = 0.10  # of all generated clouds, whatever else happens to them
+RIDGES_SHARE = 0.10  # of all generated clouds, whatever else happens to them
+HOLES_SHARE = 0.10  # likewise
 DENSE_FACTOR = 4  # thinned clouds are drawn from this many times as many points
 
 
@@ -47,7 +50,7 @@ class Surface(Protocol):
 def scan(
     surface: Surface, largest: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], str]:
-    """Draw points from a surface and corrupt them as a scanner would.
+    """Draw points from a surface, some of them with ridges, and corrupt them as a scanner would.
 
     Args:
         surface: where the points come from.
@@ -55,8 +58,8 @@ def scan(
         rng: source of randomness.
 
     Returns:
-        Points (N, 3), the normals (N, 3) of the clean surface below them, and the kind of corruption, a key
-        of `CORRUPTION_SHARES`.
+        Points (N, 3), the normals (N, 3) of the clean surface below them, ridges included, and the kind of
+        corruption, a key of `CORRUPTION_SHARES`.
     """
     kind = str(rng.choice(list(CORRUPTION_SHARES), p=list(CORRUPTION_SHARES.values())))
     count = max(1, round(largest * 0.5 ** rng.random()))  # log-uniform: several densities
@@ -67,6 +70,8 @@ def scan(
         points, normals = points[keep], normals[keep]
     else:
         points, normals = surface.sample(count, rng)
+    if rng.random() < RIDGES_SHARE:
+        points, normals = add_ridges(points, normals, rng)
     level = _noise_level(kind, rng)
     if level:
         uniform = rng.random() < UNIFORM_NOISE_SHARE

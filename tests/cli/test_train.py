@@ -99,7 +99,7 @@ def test_trained_cloudfit_is_usable(tmp_path, monkeypatch, capsys):
     arguments = ["--synthetic", *settings, "--epochs", "1", "-o", folder, "--json", "--threads", "1"]
     assert run(monkeypatch, *arguments) == 0
     summary = json.loads(capsys.readouterr().out)
-    assert summary["parameters"] == 3_000_131
+    assert summary["parameters"] == 4_354_435
     assert 0 < metrics(folder)[0]["rmse"] < 90
     points = np.random.default_rng(1).uniform(size=(200, 3)) * [1, 1, 0.01]
     normals = make_estimator(summary["model"])(points).normals

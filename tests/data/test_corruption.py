@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from jetnormal.data import corruption
 from jetnormal.data.corruption import (
     CORRUPTION_SHARES,
     NOISE_LEVELS,
@@ -92,7 +93,8 @@ def test_small_cloud_is_not_cut_in_more_than_half():
         assert len(punch_holes(points, np.random.default_rng(seed))) >= 10
 
 
-def test_scan_keeps_the_clean_normals_and_draws_each_kind_by_its_share():
+def test_scan_keeps_the_clean_normals_and_draws_each_kind_by_its_share(monkeypatch):
+    monkeypatch.setattr(corruption, "RIDGES_SHARE", 0)
     sphere = RoundedBox([0, 0, 0], 1.0)
     kinds: Counter[str] = Counter()
     for seed in range(600):

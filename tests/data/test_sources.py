@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jetnormal.data import corruption
 from jetnormal.data.dataset import Mixture, open_dataset
 from jetnormal.data.scanners.draw import FAMILIES
 from jetnormal.data.sources import (
@@ -68,7 +69,8 @@ def test_listed_clouds_are_read_as_they_are(pcpnet):
     assert source.cloud(5, 0, 99) is box  # the same in each epoch, and read once
 
 
-def test_clouds_without_a_list_are_corrupted_anew(pcpnet):
+def test_clouds_without_a_list_are_corrupted_anew(pcpnet, monkeypatch):
+    monkeypatch.setattr(corruption, "RIDGES_SHARE", 0)
     write_cloud(pcpnet, "big", count=2_000)
     np.savetxt(pcpnet / "unlabeled.xyz", np.eye(3))
     source = PcpnetFolder(pcpnet, None)
@@ -123,7 +125,8 @@ def test_mesh_clouds_depend_on_seed_epoch_and_index_alone(meshes):
         assert not np.array_equal(cloud.points[:10], other.points[:10])
 
 
-def test_mesh_clouds_are_labeled_outward_and_vary_in_size(meshes):
+def test_mesh_clouds_are_labeled_outward_and_vary_in_size(meshes, monkeypatch):
+    monkeypatch.setattr(corruption, "RIDGES_SHARE", 0)
     source = MeshFolder(meshes, clouds_per_epoch=4, points=500)
     sizes = set()
     for index in range(40):

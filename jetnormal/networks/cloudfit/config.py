@@ -26,7 +26,7 @@ class CloudFitConfig:
 
     channels: Annotated[
         tuple[int, ...], Option("Channels of each level of the pyramid, the finest first; even numbers.")
-    ] = (64, 128, 192, 192, 192, 192)
+    ] = (64, 128, 192, 256, 256, 256)
     hidden: Annotated[int, Option("Channels of the small networks that weigh edges.")] = 32
     up_layers: Annotated[
         tuple[int, ...], Option("Edge convolutions of each level on the way up, from fine to coarse.")

@@ -54,8 +54,8 @@ def test_shapes_and_unit_length(network: CloudFit):
     assert len(prediction.levels[0].positions) == 300
 
 
-def test_the_default_has_3_million_parameters():
-    assert sum(parameter.numel() for parameter in CloudFit(CloudFitConfig()).parameters()) == 3_000_131
+def test_the_default_has_4_million_parameters():
+    assert sum(parameter.numel() for parameter in CloudFit(CloudFitConfig()).parameters()) == 4_354_435
 
 
 @pytest.mark.parametrize("points", [bumpy_sphere(800)[0], lines(3000, 10)], ids=["sphere", "lines"])
