@@ -35,9 +35,12 @@ def add_ridges(points: Floats, normals: Floats, rng: np.random.Generator) -> tup
         rng: source of randomness.
 
     Returns:
-        The moved points (N, 3), and the unit normals (N, 3) of the surface with the ridges.
+        The moved points (N, 3), and the unit normals (N, 3) of the surface with the ridges; both as they were if all
+        points lie in one place.
     """
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if not diagonal:
+        return points, normals
     axis = np.eye(3)[rng.integers(3)] if rng.random() < ALIGNED else unit(rng.normal(size=(1, 3)))[0]
     length = NARROWEST * (WIDEST / NARROWEST) ** rng.random() * diagonal / math.sqrt(len(points))
     slope, sharp = math.tan(math.radians(rng.uniform(FLATTEST, STEEPEST))), rng.uniform(ROUNDEST, SHARPEST)

@@ -51,6 +51,13 @@ def test_what_faces_the_axis_has_none(monkeypatch):
         assert 0.55 < np.abs(changed @ axis).max() < 0.65
 
 
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_a_few_points_stay_finite(count: int):
+    for seed in range(20):
+        points, normals = np.random.default_rng(seed).random((count, 3)), np.tile([0.0, 0.0, 1.0], (count, 1))
+        assert np.isfinite(add_ridges(points, normals, np.random.default_rng(seed))).all()
+
+
 def test_some_clouds_of_a_training_have_ridges():
     class Plane:
         def sample(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
