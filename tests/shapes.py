@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from jetnormal.cloud import Cloud
@@ -25,6 +27,21 @@ def even_sphere(count: int) -> np.ndarray:
     index = np.arange(count) + 0.5
     z, angle = 1 - 2 * index / count, index * np.pi * (1 + np.sqrt(5))
     return np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
+
+
+def plane(side: int) -> tuple[np.ndarray, np.ndarray]:
+    """A grid of side x side points of the unit square, and their normals along z."""
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side), [0.0]), axis=-1).reshape(-1, 3)
+    return grid, np.tile([0.0, 0.0, 1.0], (len(grid), 1))
+
+
+def normals_by_differences(lift: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:
+    """(N, 3) unit normals of a plane whose points `lift` moves along z."""
+    step = 1e-6
+    ahead = [lift(points + step * np.eye(3)[axis]) for axis in (0, 1)]
+    slope = np.column_stack([moved[:, 2] - lift(points)[:, 2] for moved in ahead]) / step
+    normals = np.column_stack([-slope, np.ones(len(points))])
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def cube() -> tuple[np.ndarray, np.ndarray]:

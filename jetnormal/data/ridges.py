@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.data.scanners.scan import log_uniform
 from jetnormal.geometry.vectors import unit
 
 Floats = NDArray[np.float64]
@@ -41,8 +42,8 @@ def add_ridges(points: Floats, normals: Floats, rng: np.random.Generator) -> tup
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     if not diagonal:
         return points, normals
-    axis = np.eye(3)[rng.integers(3)] if rng.random() < ALIGNED else unit(rng.normal(size=(1, 3)))[0]
-    length = NARROWEST * (WIDEST / NARROWEST) ** rng.random() * diagonal / math.sqrt(len(points))
+    axis = np.eye(3)[rng.integers(3)] if rng.random() < ALIGNED else unit(rng.normal(size=3))
+    length = log_uniform(rng, NARROWEST, WIDEST) * diagonal / math.sqrt(len(points))
     slope, sharp = math.tan(math.radians(rng.uniform(FLATTEST, STEEPEST))), rng.uniform(ROUNDEST, SHARPEST)
     phase = points @ axis * (2 * np.pi / length) + rng.uniform(0, 2 * np.pi)
     # The steepest place of asin(s sin x) is x = 0, where it rises by s.

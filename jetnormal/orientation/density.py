@@ -56,6 +56,11 @@ class Sample:
         """Distance of neighboring points, typically."""
         return typical_spacing(self.points)
 
+    @cached_property
+    def contrast(self) -> _Spacing:
+        """How dense the sample is where, as a logarithm."""
+        return _Spacing.of(self)
+
     def taken(self, rows: NDArray[np.int64]) -> Sample:
         """Take some rows."""
         return Sample(self.points[rows], self.normals[rows], self.spacing[rows], self.part[rows])
@@ -96,11 +101,18 @@ def draw(points: Floats, normals: Floats) -> tuple[Sample, Sample] | None:
     return drawn, drawn.taken(even)
 
 
-def places_around(points: Floats) -> Floats:
-    """Return places outside (P, 3): in all directions, near and far."""
+def places_around(points: Floats, toward: Floats | None = None, distances: tuple[float, ...] = FAR_AWAY) -> Floats:
+    """Return places (P, 3) in some directions from the middle of points, at each of some distances.
+
+    Args:
+        points: (n, 3).
+        toward: (K, 3) directions; all of them by default.
+        distances: over that of the farthest point.
+    """
+    toward = directions() if toward is None else toward
     middle = points.mean(axis=0)
     reach = np.linalg.norm(points - middle, axis=1).max()
-    return np.concatenate([middle + directions() * reach * share for share in FAR_AWAY])
+    return np.concatenate([middle + toward * reach * share for share in distances])
 
 
 @dataclass(frozen=True)
@@ -133,7 +145,7 @@ class _Spacing:
 
 def best_fit(sample: Sample, places: Floats, size: float) -> tuple[float, float]:
     """Find how the best of the places (P, 3) explains the logarithm of spacing: share of its variance, and slope."""
-    spacing = _Spacing.of(sample)
+    spacing = sample.contrast
     best = (0.0, 0.0)
     for place in places:
         distance, cosine = _sight(sample.points, sample.normals, place)
@@ -148,17 +160,16 @@ def best_fit(sample: Sample, places: Floats, size: float) -> tuple[float, float]
 def behind(sample: Sample, size: float) -> float:
     """Find how much more of the variance of the logarithm of spacing places at the back explain than those in front."""
     axis = unit(sample.normals.mean(axis=0), np.array([0.0, 0, 1]))
-    middle = sample.points.mean(axis=0)
     toward = directions()[directions() @ axis > AHEAD]
-    reach = np.linalg.norm(sample.points - middle, axis=1).max()
-    offsets = np.concatenate([toward * reach * share for share in NEAR_AND_FAR])
-    front, back = (best_fit(sample, middle + side * offsets, size)[0] for side in (1, -1))
+    front, back = (
+        best_fit(sample, places_around(sample.points, side * toward, NEAR_AND_FAR), size)[0] for side in (1, -1)
+    )
     return back - front
 
 
 def gradient_fit(sample: Sample) -> float:
     """Find the share of the variance of the logarithm of spacing that a gradient explains."""
-    spacing = _Spacing.of(sample)
+    spacing = sample.contrast
     root = np.sqrt(spacing.weight)
     axes = np.stack([root * spacing.centered(axis) for axis in sample.points.T], axis=1)
     found = root * spacing.logarithm
