@@ -6,14 +6,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jetnormal.data.scanners.beam import Camera
 from jetnormal.data.scanners.devices import camera_errors, lidar_errors, station_errors, stripe_errors
 from jetnormal.data.scanners.range_errors import RandomField, RangeErrors
 from jetnormal.data.scanners.rasters import Pinhole, Sampling, Spherical, Sweep, read_raster, window_of
 from jetnormal.data.scanners.scan import Scan, axes_along, log_uniform, merged, registration_errors
 from jetnormal.data.scanners.targets import Floats, Target
 from jetnormal.geometry.vectors import unit
+
+STEEPEST_VIEW = 3.0  # one over the tangent of the angle between light and camera, at which edges curl most
 
 
 def _stripe(target: Target, count: int, rng: np.random.Generator, errors: RangeErrors | None = None) -> Scan:
@@ -22,12 +24,13 @@ def _stripe(target: Target, count: int, rng: np.random.Generator, errors: RangeE
     eye, axes = pose(rng, distance)
     raster = Sweep(eye, axes) if rng.random() < 0.6 else Pinhole(eye, axes)
     sampling = Sampling(count, log_uniform(rng, 0.4, 10.0), rng.uniform(0, 0.1), rng.uniform(0, 0.3) ** 2)
-    scan = read_raster("stripe", target, raster, window_of(target, raster, _closeness(rng), rng), sampling,
-                 errors or stripe_errors(rng, distance, log_uniform(rng, 5e-5, 5e-3)), rng)  # fmt: skip
+    chosen = errors or stripe_errors(rng, distance, log_uniform(rng, 5e-5, 5e-3))
     # What the camera does not see, the laser lights in vain.
-    baseline = distance * rng.uniform(0.1, 0.6) * rng.choice([-1, 1])
-    across = axes[rng.integers(2)]  # beside the stripe or along the sweep
-    return scan.take(_seen(target, scan, scan.sensors + baseline * across))
+    baseline, beside = rng.uniform(0.1, 0.6) * rng.choice([-1, 1]), rng.integers(2)
+    slope = float(np.clip(1 / baseline, -STEEPEST_VIEW, STEEPEST_VIEW))
+    camera = Camera(distance * baseline * axes[beside], 1 - int(beside), chosen.curl * slope)
+    window = window_of(target, raster, _closeness(rng), rng)
+    return read_raster("stripe", target, raster, window, sampling, chosen, rng, camera)
 
 
 def _depth(target: Target, count: int, rng: np.random.Generator, errors: RangeErrors | None = None) -> Scan:
@@ -163,13 +166,6 @@ def _upright(
     eye = distance * unit(np.cos(angle) * right + np.sin(angle) * ahead + height * up)
     level = -eye + (eye @ up) * up
     return eye, axes_along(level, up + tilt * unit(rng.normal(size=3)))
-
-
-def _seen(target: Target, scan: Scan, eyes: Floats) -> NDArray[np.bool_]:
-    """Which points of a scan nothing hides from eyes (N, 3); the measured ones stand for the true ones."""
-    # Lifted off the surface by more than the noise would sink them: only what is clearly hidden counts.
-    lift = 0.004 * scan.normals
-    return target.visible(scan.points + lift, eyes)
 
 
 def _directions(count: int, rng: np.random.Generator) -> Floats:

@@ -43,6 +43,8 @@ class RangeErrors:
         grazing_power: and with this power of one over the cosine of the incidence.
         step: the ranges are multiples of this; 0 leaves them.
         disparity: whether the steps are even in one over the range, as a camera pair measures it.
+        beam: standard deviation of the light across a stripe, in gaps between columns, where a camera triangulates.
+        curl: how far ranges follow the middle of the light that is left at an edge: 0 not at all, 1 in full.
         mixed: share of the pixels at a jump of depth that lie between the two surfaces.
         grazing: cosine of the incidence at which half of the returns are lost.
         lost: share of the returns that is lost anywhere.
@@ -60,6 +62,8 @@ class RangeErrors:
     grazing_power: float = 0.0
     step: float = 0.0
     disparity: bool = False
+    beam: float = 0.0
+    curl: float = 0.0
     mixed: float = 0.0
     grazing: float = 0.05
     lost: float = 0.0

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from jetnormal.data.scanners.beam import Camera, seen_stripe
 from jetnormal.data.scanners.range_errors import RangeErrors
 from jetnormal.data.scanners.scan import Scan
 from jetnormal.data.scanners.targets import Floats, Target
@@ -149,9 +151,9 @@ class Sampling:
 
 def read_raster(
     kind: str, target: Target, raster: Raster, window: Window, sampling: Sampling, errors: RangeErrors,
-    rng: np.random.Generator,
+    rng: np.random.Generator, camera: Camera | None = None,
 ) -> Scan:  # fmt: skip
-    """Scan the window of a raster."""
+    """Scan the window of a raster; with a camera, only what it sees, by a stripe of light as wide as `errors` says."""
     shape = _grid_shape(target, raster, window, sampling)
     pitch = (window.high - window.low) / [shape[1], shape[0]]
     v, u = ((np.arange(size) + 0.5) * pitch[axis] + window.low[axis] for size, axis in zip(shape, (1, 0), strict=True))
@@ -165,7 +167,14 @@ def read_raster(
     normals = np.where(bare[:, None], -directions, hits.normals)
     cosine = np.abs((normals * directions).sum(1))
     distance = hits.distance.reshape(shape)
+    if camera is not None:
+        distance = np.where(_seen(target, origins, directions, distance, camera), distance, np.inf)
     gaps = _gaps(origins.reshape(*shape, 3), directions.reshape(*shape, 3), distance)
+    if camera is not None and errors.beam > 0:
+        gap = gaps[camera.axis]
+        width = errors.beam * float(gaps[1].mean() / max(float(gap.mean()), 1e-12))
+        stripe = seen_stripe(distance, normals.reshape(*shape, 3), cosine.reshape(shape), gap, width, camera)
+        distance, normals = stripe.distance, stripe.normals.reshape(-1, 3)
     readings = errors.read(distance, cosine.reshape(shape), gaps, rng)
     kept = np.flatnonzero(readings.returned)
     points = origins[kept] + readings.distance.reshape(-1, 1)[kept] * directions[kept]
@@ -173,14 +182,29 @@ def read_raster(
     return Scan(kind, points, normals[kept], origins[kept], labeled[kept])
 
 
+def _seen(target: Target, origins: Floats, directions: Floats, distance: Floats, camera: Camera) -> NDArray[np.bool_]:
+    """Which places that rays (N, 3) reach at distances (rows, columns) nothing hides from the camera."""
+    seen = np.isfinite(distance)
+    hit = np.flatnonzero(seen)
+    places = origins[hit] + distance.reshape(-1, 1)[hit] * directions[hit]
+    seen.reshape(-1)[hit] = target.visible(places, origins[hit] + camera.offset)
+    return seen
+
+
 def _gaps(origins: Floats, directions: Floats, distance: Floats) -> tuple[Floats, Floats]:
     """How far each ray (rows, columns) is from the next of its column, and of its row, at the distance it reaches."""
     reach = np.where(np.isfinite(distance), distance, 0.0)[..., None]
     gaps = []
     for axis in (0, 1):
-        apart = np.roll(origins, -1, axis) - origins + reach * (np.roll(directions, -1, axis) - directions)
-        gaps.append(np.linalg.norm(apart, axis=-1))
+        move, turn = (_steps(array, axis) for array in (origins, directions))
+        gaps.append(np.linalg.norm(move + reach * turn, axis=-1))
     return gaps[0], gaps[1]
+
+
+def _steps(array: Floats, axis: int) -> Floats:
+    """From each entry to the next along an axis; the last is like the one before."""
+    steps = np.diff(array, axis=axis)
+    return np.concatenate([steps, np.take(steps, [-1], axis)], axis)
 
 
 def _grid_shape(target: Target, raster: Raster, window: Window, sampling: Sampling) -> tuple[int, int]:
