@@ -24,7 +24,7 @@ def stripe_errors(rng: np.random.Generator, distance: float, sigma: float) -> Ra
         grazing_power=rng.uniform(0, 1),
         step=rng.choice([0.0, sigma * log_uniform(rng, 0.3, 4.0)], p=[0.4, 0.6]),
         disparity=bool(rng.random() < 0.5),
-        beam=rng.choice([0.0, log_uniform(rng, 0.3, 3.0)], p=[0.25, 0.75]),
+        beam=rng.choice([0.0, log_uniform(rng, 0.5, 4.0)], p=[0.2, 0.8]),
         curl=rng.uniform(0, 1) ** 2,
         mixed=rng.choice([0.0, rng.uniform(0, 0.5)]),
         grazing=rng.uniform(0.02, 0.4),
