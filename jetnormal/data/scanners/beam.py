@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jetnormal.data.scanners.range_errors import shifted
 from jetnormal.geometry.vectors import unit
 
 Floats = NDArray[np.float64]
@@ -71,7 +72,7 @@ def seen_stripe(
     for side in (-1, 1):
         joined, before = lit, true
         for step in range(1, int(np.ceil(REACH * width)) + 1):
-            pixel = partial(_shifted, step=side * step, axis=camera.axis)
+            pixel = partial(shifted, step=side * step, axis=camera.axis)
             there = pixel(true)
             joined = joined & pixel(lit) & (np.abs(there - before) < parted)
             light = joined * pixel(strength) * np.exp(-0.5 * (step / width) ** 2)
@@ -82,15 +83,3 @@ def seen_stripe(
             before = there
     read = (middle + camera.slope * aside) / np.maximum(total, 1e-12)
     return Stripe(np.where(lit, read, np.inf), unit(facing))
-
-
-def _shifted(array: NDArray[Any], step: int, axis: int) -> NDArray[Any]:
-    """What lies `step` pixels further along an axis; zero beyond the border."""
-    result = np.zeros_like(array)
-    source, goal = [slice(None)] * array.ndim, [slice(None)] * array.ndim
-    size = array.shape[axis]
-    if abs(step) < size:
-        source[axis] = slice(max(step, 0), size + min(step, 0))
-        goal[axis] = slice(max(-step, 0), size + min(-step, 0))
-        result[tuple(goal)] = array[tuple(source)]
-    return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,11 +104,10 @@ class RangeErrors:
             return mixed, between
         slope = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 0.05)
         narrow = np.minimum(gaps[1].mean() / max(float(gaps[0].mean()), 1e-12), 1.0)
-        for axis, shift, share in ((0, 1, narrow), (0, -1, narrow), (1, 1, 1.0), (1, -1, 1.0)):
-            other, present = np.roll(true, shift, axis), np.roll(hit, shift, axis)
-            np.moveaxis(present, axis, 0)[0 if shift > 0 else -1] = False  # which has come around from the other end
+        for axis, step, share in ((0, -1, narrow), (0, 1, narrow), (1, -1, 1.0), (1, 1, 1.0)):
+            other, present, steep = (shifted(array, step, axis) for array in (true, hit, slope))
             # One surface, seen at this angle, changes by the gap times the slope from ray to ray.
-            jump = np.abs(other - true) > self.jump + 3 * gaps[axis] * np.maximum(slope, np.roll(slope, shift, axis))
+            jump = np.abs(other - true) > self.jump + 3 * gaps[axis] * np.maximum(slope, steep)
             edge = hit & present & jump & ~mixed & (rng.random(true.shape) < self.mixed * share)
             between = np.where(edge, true + rng.random(true.shape) * (other - true), between)
             mixed |= edge
@@ -133,6 +132,18 @@ class RangeErrors:
         ds = self.step / self.reference**2
         inverse = ds * np.maximum(np.round(1 / np.maximum(distance, 1e-6) / ds), 1)
         return 1 / inverse
+
+
+def shifted(array: NDArray[Any], step: int, axis: int) -> NDArray[Any]:
+    """Return what lies `step` pixels further along an axis of a raster; zero beyond its border."""
+    result = np.zeros_like(array)
+    source, goal = [slice(None)] * array.ndim, [slice(None)] * array.ndim
+    size = array.shape[axis]
+    if abs(step) < size:
+        source[axis] = slice(max(step, 0), size + min(step, 0))
+        goal[axis] = slice(max(-step, 0), size + min(-step, 0))
+        result[tuple(goal)] = array[tuple(source)]
+    return result
 
 
 def smooth_noise(shape: tuple[int, ...], width: tuple[float, float], rng: np.random.Generator) -> Floats:
