@@ -18,12 +18,12 @@ from scipy.spatial.transform import Rotation
 
 import jetnormal
 from jetnormal.data.mesh_sampler import load_mesh
-from jetnormal.geometry.metrics import angles, rmse
+from jetnormal.geometry.metrics import angles, oriented_accuracy, rmse
 from jetnormal.geometry.vectors import unit
 from jetnormal.mesh import Mesh
 from jetnormal.support.open3d_loader import require_open3d
 
-MODELS = ["pca:k=30", "pca:k=112", "jet:k=30,order=2", "jet:k=60,order=2", "deepfit-small", "cloudfit"]
+MODELS = ["pca:k=30", "pca:k=112", "jet:k=30,order=2", "jet:k=60,order=2", "cloudfit"]
 WITHIN = 0.003  # of the mesh's diagonal: what is farther away does not belong to it
 Floats = NDArray[np.float64]
 
@@ -35,9 +35,7 @@ class Reference:
         open3d = require_open3d("finds the nearest point of a mesh")
         self._tensor = open3d.core.Tensor
         self._faces = mesh.faces
-        self._normals = np.zeros_like(mesh.vertices)
-        for corner in mesh.faces.T:
-            np.add.at(self._normals, corner, mesh.area_vectors())
+        self._normals = mesh.vertex_normals()
         self.within = WITHIN * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
         self._scene = open3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
@@ -71,16 +69,23 @@ def read_views(configuration: Path, reference: Reference) -> list[Floats]:
     return views
 
 
-def measure(model: str, views: list[Floats], reference: Reference) -> tuple[NDArray[np.float64], float]:
-    """Errors in degrees of all points near the mesh, and the share of their signs that are right."""
-    errors, outward = [], []
-    for points in views:
-        distance, true = reference.nearest(points)
-        near = distance < reference.within
-        normals = jetnormal.estimate(points, model=model)[near]
-        errors.append(angles(normals, true[near]))
-        outward.append((normals * true[near]).sum(1) > 0)
-    return np.concatenate(errors), float(np.concatenate(outward).mean())
+def measure(model: str, views: list[Floats], references: list[tuple[Floats, Floats]], within: float) -> list[str]:
+    """Cells of the table: errors of the points nearer to the mesh than `within`, and the share of signs that are right.
+
+    Args:
+        model: as in `jetnormal.estimate`.
+        views: clouds (N, 3).
+        references: `Reference.nearest` of each.
+        within: in the unit of the clouds.
+    """
+    found, true = [], []
+    for points, (distance, normals) in zip(views, references, strict=True):
+        near = distance < within
+        found.append(jetnormal.estimate(points, model=model)[near])
+        true.append(normals[near])
+    estimated, expected = np.concatenate(found), np.concatenate(true)
+    errors, (right, _) = angles(estimated, expected), oriented_accuracy(estimated, expected)
+    return [f"{rmse(errors):.2f}", f"{np.median(errors):.2f}", f"{(errors > 30).mean():.1%}", f"{right:.1%}"]
 
 
 def main() -> None:
@@ -92,18 +97,18 @@ def main() -> None:
     options = parser.parse_args()
     reference = Reference(load_mesh(options.mesh))
     views = read_views(options.configuration, reference)
+    references = [reference.nearest(points) for points in views]
     merged = [np.concatenate(views)]
+    distances, normals = zip(*references, strict=True)
+    merged_reference = [(np.concatenate(distances), np.concatenate(normals))]
     print(f"{options.configuration.name}: {len(views)} views, {len(merged[0]):,} points\n")
     columns = " | ".join(["RMSE", "median", "over 30°", "right signs"])
     print(f"| model | views alone: {columns} | merged: {columns} |")
     print("|---" * 9 + "|")
     for model in options.model or MODELS:
-        cells = []
-        for clouds in (views, merged):
-            errors, outward = measure(model, clouds, reference)
-            cells += [f"{rmse(errors):.2f}", f"{np.median(errors):.2f}"]
-            cells += [f"{share:.1%}" for share in ((errors > 30).mean(), outward)]
-        print(f"| {model} | {' | '.join(cells)} |", flush=True)
+        alone = measure(model, views, references, reference.within)
+        together = measure(model, merged, merged_reference, reference.within)
+        print(f"| {model} | {' | '.join(alone + together)} |", flush=True)
 
 
 if __name__ == "__main__":
